@@ -1,0 +1,78 @@
+# make help lists the targets. PYTHON picks the interpreter for the virtual environment (3.11 or newer);
+# TORCH_INDEX=https://download.pytorch.org/whl/cpu keeps pip from fetching torch's CUDA build.
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+VENV ?= .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.setup-stamp
+SEED ?= 1
+OUT ?= out
+JOBS ?= 2
+ARGS ?=
+
+# One thread a process: services and test workers share the cores by processes, not by thread pools.
+export OMP_NUM_THREADS ?= 1
+export MKL_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo serve test check format bench eval-tasks eval-text eval-tracker eval-planner clean
+
+help: ## list the targets
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
+
+setup: $(STAMP) ## make .venv with everything (quick when nothing changed)
+
+$(STAMP): pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "no Python found: install Python 3.11 or newer"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "$(PYTHON) is older than 3.11: set PYTHON"; exit 1; }
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@echo "installing torch ..."
+	@$(BIN)/python -m pip install --quiet $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) -c constraints.txt torch
+	@echo "installing motionloop with all its extras ..."
+	@$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[all,dev]'
+	@$(BIN)/python -c 'import torch; print("torch", torch.__version__, "(CUDA %s)" % torch.version.cuda if torch.version.cuda else "(CPU build)")'
+	@touch $@
+
+demo: setup ## run the three services and one episode over HTTP; leaves out/demo/
+	$(BIN)/motionloop demo --seed $(SEED) --out $(OUT)/demo $(ARGS)
+
+serve: setup ## run all three services until Ctrl-C
+	$(BIN)/motionloop serve all $(ARGS)
+
+test: setup ## run the fast test suite
+	$(BIN)/python -m pytest -n $(JOBS) -m "not slow" $(ARGS)
+
+check: setup ## ruff, mypy --strict, import-linter
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: setup ## format the tree and fix what ruff can
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: setup ## measure the loop in real time
+	@mkdir -p $(OUT)
+	$(BIN)/motionloop bench loop --characters 1 --seconds 60 --seed $(SEED) --json $(OUT)/bench_loop.json $(ARGS)
+
+eval-tasks: setup ## success rate of the task `reach`
+	@mkdir -p $(OUT)
+	$(BIN)/motionloop eval tasks --tasks reach --episodes 100 --seed $(SEED) --json $(OUT)/eval_tasks.json $(ARGS)
+
+eval-text: setup ## how many text commands are obeyed
+	@mkdir -p $(OUT)
+	$(BIN)/motionloop eval text --minutes 10 --seed $(SEED) --json $(OUT)/eval_text.json $(ARGS)
+
+eval-tracker: setup ## how well recorded clips are tracked; CLIPS names the folder
+	@test -n "$(CLIPS)" || { echo "set CLIPS to a folder of clips (BVH, AMC + ASF, SMPL npz)"; exit 2; }
+	@mkdir -p $(OUT)
+	$(BIN)/motionloop eval tracker --clips $(CLIPS) --seed $(SEED) --json $(OUT)/eval_tracker.json $(ARGS)
+
+eval-planner: setup ## quality of the plans, without physics
+	@mkdir -p $(OUT)
+	$(BIN)/motionloop eval planner --seed $(SEED) --json $(OUT)/eval_planner.json $(ARGS)
+
+clean: ## remove caches and outputs, keep .venv
+	rm -rf $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	find . -name __pycache__ -type d -not -path './$(VENV)/*' -prune -exec rm -rf {} +

@@ -1,0 +1,1 @@
+"""motionloop: text- and target-driven physical characters."""

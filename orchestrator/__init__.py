@@ -1,0 +1,1 @@
+"""The orchestrator: drives tasks through the planner-tracker loop and offers it over HTTP."""

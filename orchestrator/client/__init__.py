@@ -1,0 +1,1 @@
+"""Typed, light HTTP client."""

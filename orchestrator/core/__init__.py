@@ -1,0 +1,1 @@
+"""State machine, loop, plan stitching and supervision."""

@@ -1,0 +1,221 @@
+"""A character that follows commands until told otherwise (no tasks, no end)."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from orchestrator.core.command import STAND, Command, CommandGoal
+from orchestrator.core.drivers import Cycle, Driver, LockstepDriver, RealtimeDriver
+from orchestrator.core.events import EventLog
+from orchestrator.core.fanout import Fanout
+from orchestrator.core.loop import CharacterLoop, view_of
+from orchestrator.core.services import Reply, Services
+from orchestrator.core.settings import LOCKSTEP, REALTIME, LoopSettings
+from shared.errors import ConflictError, InvalidInputError, MotionLoopError, NotFoundError, TransportError
+from shared.motion.skeleton import CANONICAL
+from shared.protocol.messages import (
+    CloseCharacter,
+    CreateCharacter,
+    Impulse,
+    Message,
+    Name,
+    Ok,
+    Pacing,
+    ResetCharacter,
+    Seed,
+    SetPacing,
+    SetTracker,
+    StateFrame,
+    Vec3,
+)
+
+Status = Literal["running", "paused", "degraded", "failed", "closed"]
+
+
+class CharacterSpec(BaseModel):
+    """A character to make. planner and tracker name plug-ins; None for the services' own choice."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    scene: Name = "flat"
+    planner: Name | None = None
+    tracker: Name | None = None
+    pacing: Pacing = "realtime"
+    seed: Seed = 0
+    loop: LoopSettings | None = None
+
+
+class CharacterSession:
+    """One commanded character: realtime ones run by themselves, lockstep ones when `advance` is called."""
+
+    def __init__(self, character_id: str, spec: CharacterSpec, services: Services, events: EventLog):
+        settings = spec.loop or (LOCKSTEP if spec.pacing == "lockstep" else REALTIME)
+        self.character_id = character_id
+        self.spec = spec
+        self.events = events
+        self.states: Fanout[StateFrame] = Fanout()
+        self.loop = CharacterLoop(character_id, services, settings, spec.seed, spec.planner)
+        self.status: Status = "running"
+        self.reason: str | None = None
+        self._services = services
+        self._state: StateFrame | None = None
+        self._driver: Driver | None = None
+        self._source = CommandGoal(STAND, 0)
+        self._runner: asyncio.Task[None] | None = None
+        self._lock = asyncio.Lock()
+
+    @property
+    def state(self) -> StateFrame:
+        """The newest state seen; raises ConflictError before `start`."""
+        if self._state is None:
+            raise ConflictError("the character was not started")
+        return self._state
+
+    @property
+    def command(self) -> Command:
+        """The command in force."""
+        return self._source.command
+
+    async def start(self) -> StateFrame:
+        """Make it at the tracker and, in realtime, let it run."""
+        request = CreateCharacter(
+            scene=self.spec.scene,
+            tracker=self.spec.tracker or self._services.tracker.plugin,
+            pacing=self.spec.pacing,
+            seed=self.spec.seed,
+        )
+        self._state = await self._ask(StateFrame, request)
+        if self.spec.pacing == "lockstep":
+            self._driver = LockstepDriver(self.loop, self._state)
+        else:
+            self._driver = RealtimeDriver(self.loop, self._state)
+            self._runner = asyncio.create_task(self._run(self._driver), name=f"character-{self.character_id}")
+        self.events.emit("created", self._state.tick, scene=self.spec.scene, pacing=self.spec.pacing)
+        return self._state
+
+    def set_command(self, command: Command) -> int:
+        """Take a new command; returns the tick at which it was given. Raises for a target out of reach."""
+        self._check_alive()
+        command.check_reachable(view_of(self.state))
+        self._source = CommandGoal(command, self.state.tick)
+        if command.replan == "now" and self._driver is not None:
+            self._driver.replan_now()
+        self.events.emit("command", self.state.tick, **command.model_dump(mode="json", exclude_none=True))
+        return self.state.tick
+
+    async def advance(self, ticks: int) -> StateFrame:
+        """Let a lockstep character go on for `ticks`."""
+        self._check_alive()
+        driver = self._driver
+        if self.spec.pacing != "lockstep" or driver is None:
+            raise ConflictError("only a lockstep character is stepped", field="pacing", allowed="lockstep")
+        async with self._lock:
+            until = self.state.tick + ticks
+            while self.state.tick < until:
+                await self._cycle(driver, until - self.state.tick)
+        return self.state
+
+    async def impulse(self, body: str, impulse_w_ns: Vec3) -> None:
+        """Push a body."""
+        self._check_alive()
+        if body not in CANONICAL.names:
+            raise InvalidInputError(f"unknown body {body!r}", field="body", allowed=", ".join(CANONICAL.names))
+        await self._ask(Ok, Impulse(body=body, impulse_w_ns=impulse_w_ns))
+        self.events.emit("impulse", self.state.tick, body=body, impulse_ns=list(impulse_w_ns))
+
+    async def reset(self) -> StateFrame:
+        """Stand it up where it is; the command becomes standing."""
+        self._check_alive(even_failed=True)
+        async with self._lock:
+            self._state = await self._ask(StateFrame, ResetCharacter())
+            self.loop.forget_plans()
+            self._source = CommandGoal(STAND, self._state.tick)
+            if self._driver is not None:
+                self._driver.replan_now()
+            self.events.emit("reset", self._state.tick)
+        return self.state
+
+    async def pause(self, paused: bool) -> StateFrame:
+        """Stop or restart a realtime clock."""
+        self._check_alive()
+        if self.spec.pacing != "realtime":
+            raise ConflictError("only a realtime character can be paused", field="pacing", allowed="realtime")
+        self._state = await self._ask(StateFrame, SetPacing(pacing="realtime", paused=paused))
+        self.status = "paused" if paused else "running"
+        self.events.emit("paused" if paused else "resumed", self.state.tick)
+        return self.state
+
+    async def use_tracker(self, plugin: str) -> None:
+        """Let another tracker plug-in drive it from the next tick on."""
+        await self._ask(Ok, SetTracker(tracker=plugin))
+        self.events.emit("tracker", self.state.tick, plugin=plugin)
+
+    async def close(self) -> None:
+        """End it, at the tracker too (which may be gone already)."""
+        if self.status == "closed":
+            return
+        self.status = "closed"
+        if self._runner is not None:
+            self._runner.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._runner
+        if self._driver is not None:
+            await self._driver.close()
+        with contextlib.suppress(MotionLoopError):
+            await self._ask(Ok, CloseCharacter())
+        self.events.emit("closed", self._state.tick if self._state else 0)
+        self.events.close()
+        self.states.close()
+
+    async def _ask(self, kind: type[Reply], message: Message) -> Reply:
+        timeout_s = self.loop.settings.tracker_timeout_s
+        return await self._services.tracker.ask(kind, message, self.character_id, timeout_s)
+
+    def _check_alive(self, even_failed: bool = False) -> None:
+        if self.status == "closed" or (self.status == "failed" and not even_failed):
+            raise ConflictError(f"the character is {self.status}: {self.reason or 'deleted'}", field="status")
+
+    async def _run(self, driver: Driver) -> None:
+        while self.status not in ("failed", "closed"):
+            async with self._lock:
+                with contextlib.suppress(MotionLoopError):  # noted by _cycle in `status` and `reason`
+                    await self._cycle(driver, None)
+
+    async def _cycle(self, driver: Driver, max_ticks: int | None) -> None:
+        try:
+            cycle = await driver.cycle(self._source, max_ticks)
+        except (TransportError, NotFoundError) as error:
+            self._fail(f"the tracker is gone: {error.message}")
+            raise
+        except MotionLoopError as error:
+            self.events.emit("plan_refused", self.state.tick, code=error.code, message=error.message, field=error.field)
+            self._source = CommandGoal(STAND, self.state.tick)
+            raise
+        self._take(cycle)
+
+    def _take(self, cycle: Cycle) -> None:
+        was_fallen = self.state.fallen
+        self._state = cycle.state
+        self.states.publish(cycle.state)
+        for plan in cycle.plans:
+            self.events.emit(
+                "plan", cycle.state.tick, start_tick=plan.start_tick, accepted=plan.accepted, total_ms=plan.total_ms,
+                text=plan.text, reason=plan.reason,
+            )  # fmt: skip
+        if cycle.state.fallen and not was_fallen:
+            self.events.emit("fallen", cycle.state.tick)
+        if cycle.state.failure is not None:
+            self.events.emit("physics_failed", cycle.state.tick, reason=cycle.state.failure)
+        if cycle.planner_error is not None and self.status == "running":
+            self.status, self.reason = "degraded", cycle.planner_error
+            self.events.emit("degraded", cycle.state.tick, reason=cycle.planner_error)
+        elif cycle.planner_error is None and self.status == "degraded":
+            self.status, self.reason = "running", None
+            self.events.emit("recovered", cycle.state.tick)
+
+    def _fail(self, reason: str) -> None:
+        self.status, self.reason = "failed", reason
+        self.events.emit("failed", self._state.tick if self._state else 0, reason=reason)

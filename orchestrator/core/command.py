@@ -1,0 +1,175 @@
+"""A user's command, and what it asks of the planner at every plan while it holds."""
+
+from __future__ import annotations
+
+from math import atan2, hypot
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
+
+from shared.errors import InvalidInputError
+from shared.motion.skeleton import CANONICAL
+from shared.protocol.messages import TICK_HZ, HeadingTarget, JointTarget
+from shared.tasks.builtin import STAND_TEXT, TRAJ, ReachTask
+from shared.tasks.interface import BodyView, PlanGoal
+from shared.tasks.specs import MAX_TARGET_DISTANCE_M, Coordinate, Guidance, ReachSpec, ReachTuning, Text
+
+JOINTS = (*CANONICAL.names, TRAJ)
+HEADING_S = 1.5
+VELOCITY_AHEAD_S = 1.0
+MAX_SPEED_MPS = 8.0
+
+
+def _known_joint(joint: str) -> str:
+    if joint not in JOINTS:
+        raise ValueError(f"unknown joint {joint!r}; allowed: {', '.join(JOINTS)}")
+    return joint
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Target(_Model):
+    """Where a joint should go. `traj` is the root on the floor: its height is ignored."""
+
+    joint: str = TRAJ
+    position_m: tuple[Coordinate, Coordinate, Coordinate]
+
+    _joint = field_validator("joint")(_known_joint)
+
+
+class Keyframe(_Model):
+    """Joints that should be at places `in_s` seconds after the command."""
+
+    in_s: Annotated[FiniteFloat, Field(ge=0, le=10)]
+    positions_m: Annotated[dict[str, tuple[Coordinate, Coordinate, Coordinate]], Field(min_length=1)]
+
+    @field_validator("positions_m")
+    @classmethod
+    def _joints(cls, value: dict[str, tuple[float, float, float]]) -> dict[str, tuple[float, float, float]]:
+        for joint in value:
+            if joint not in CANONICAL.names:
+                raise ValueError(f"unknown joint {joint!r}; allowed: {', '.join(CANONICAL.names)}")
+        return value
+
+
+class Command(_Model):
+    """What a character should do from now on; it holds until the next command.
+
+    Attributes:
+        text: in words; None with a target walks there.
+        target: where a joint should go.
+        heading_rad: which way to face, 0 along +X, anticlockwise.
+        velocity_mps: (x, y) in the world.
+        keyframes: poses to pass through.
+        guidance: how strongly the text counts (classifier-free guidance); None for the planner's default.
+        replan: `now` plans at once, `next` with the next regular plan.
+    """
+
+    text: Text | None = None
+    target: Target | None = None
+    heading_rad: Annotated[FiniteFloat, Field(ge=-100, le=100)] | None = None
+    velocity_mps: (
+        tuple[
+            Annotated[FiniteFloat, Field(ge=-MAX_SPEED_MPS, le=MAX_SPEED_MPS)],
+            Annotated[FiniteFloat, Field(ge=-MAX_SPEED_MPS, le=MAX_SPEED_MPS)],
+        ]
+        | None
+    ) = None
+    keyframes: Annotated[list[Keyframe], Field(max_length=64)] = []
+    guidance: Guidance | None = None
+    replan: Literal["now", "next"] = "now"
+
+    def check_reachable(self, view: BodyView) -> None:
+        """Raise InvalidInputError for a target farther than 30 m from the character."""
+        if self.target is None:
+            return
+        x, y, _ = self.target.position_m
+        distance = hypot(x - view.pelvis_xy_m[0], y - view.pelvis_xy_m[1])
+        if distance > MAX_TARGET_DISTANCE_M:
+            raise InvalidInputError(
+                f"the target is {distance:.1f} m from the character",
+                field="target.position_m",
+                allowed=f"within {MAX_TARGET_DISTANCE_M:g} m",
+            )
+
+
+STAND = Command(text=STAND_TEXT)
+
+
+class CommandGoal:
+    """Turns a command into plan goals; keeps what counts down from plan to plan."""
+
+    def __init__(self, command: Command, issued_tick: int, tuning: ReachTuning | None = None):
+        self.command = command
+        self._issued_tick = issued_tick
+        self._tuning = tuning or ReachTuning()
+        self._arrival_tick: int | None = None
+        self._walk: ReachTask | None = None
+
+    def __call__(self, view: BodyView, plan_tick: int) -> PlanGoal:
+        """The goal of a plan that starts at `plan_tick`."""
+        command = self.command
+        if command.target is not None and command.target.joint == TRAJ:
+            base = self._walk_goal(command.target, view, plan_tick)
+        else:
+            base = PlanGoal(text=command.text, targets=self._joint_target(view, plan_tick), guidance=command.guidance)
+        heading, velocity, targets = base.heading, command.velocity_mps, base.targets
+        if velocity is not None and not targets:
+            ahead = view.pelvis_xy_m + np.array(velocity) * VELOCITY_AHEAD_S
+            arrival = plan_tick + round(VELOCITY_AHEAD_S * TICK_HZ)
+            targets = (JointTarget(joint=TRAJ, position_w_m=(ahead[0], ahead[1], 0.0), arrival_tick=arrival),)
+            if hypot(*velocity) > 0.1:
+                heading = HeadingTarget(heading_rad=atan2(velocity[1], velocity[0]), arrival_tick=arrival)
+        if command.heading_rad is not None:
+            arrival = max(self._issued_tick + round(HEADING_S * TICK_HZ), plan_tick + TICK_HZ // 2)
+            heading = HeadingTarget(heading_rad=command.heading_rad, arrival_tick=arrival)
+        frames = [
+            (self._issued_tick + round(frame.in_s * TICK_HZ), tuple(frame.positions_m), tuple(frame.positions_m.values()))
+            for frame in command.keyframes
+        ]
+        frames = [frame for frame in frames if frame[0] > plan_tick]
+        return PlanGoal(
+            text=base.text,
+            targets=targets,
+            heading=heading,
+            desired_velocity_w_mps=velocity,
+            keyframe_ticks=tuple(tick for tick, _, _ in frames),
+            keyframe_joints=tuple(joints for _, joints, _ in frames),
+            keyframe_positions_w_m=tuple(places for _, _, places in frames),
+            guidance=command.guidance,
+        )
+
+    def _walk_goal(self, target: Target, view: BodyView, plan_tick: int) -> PlanGoal:
+        if self._walk is None:
+            x, y, _ = target.position_m
+            words = {} if self.command.text is None else {"text": self.command.text}
+            spec = ReachSpec.model_validate(
+                {"position_m": (x, y), "guidance": self.command.guidance, "tuning": self._tuning, **words}
+            )
+            self._walk = ReachTask(spec, seed=0)
+            self._walk.start(view)
+        return self._walk.goal(view, plan_tick)
+
+    def _joint_target(self, view: BodyView, plan_tick: int) -> tuple[JointTarget, ...]:
+        target = self.command.target
+        if target is None:
+            return ()
+        goal = np.array(target.position_m)
+        here = view.pos_w_m[CANONICAL.index(target.joint)]
+        away = goal - here
+        distance = float(np.linalg.norm(away))
+        point = goal if distance <= self._tuning.step_m else here + away * (self._tuning.step_m / distance)
+        seconds = min(float(np.linalg.norm(point - here)) / self._tuning.speed_mps, 2.0)
+        least = plan_tick + round(self._tuning.least_arrival_s * TICK_HZ)
+        arrival = max(least, plan_tick + round(seconds * TICK_HZ))
+        if distance > self._tuning.step_m:
+            self._arrival_tick = None
+        else:
+            # Fixed when the goal comes within reach: it counts down across plans, so that the joint does arrive.
+            self._arrival_tick = arrival if self._arrival_tick is None else max(self._arrival_tick, least)
+            arrival = self._arrival_tick
+        place = (float(point[0]), float(point[1]), float(point[2]))
+        return (JointTarget(joint=target.joint, position_w_m=place, arrival_tick=arrival),)

@@ -1,0 +1,202 @@
+"""Advancing a character: lockstep (as fast as it goes, deterministic) and realtime (planning beside the physics)."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from orchestrator.core.loop import CharacterLoop, GoalSource, PlanTiming, view_of
+from orchestrator.core.stitch import start_tick_for
+from shared.errors import MotionLoopError, TransportError
+from shared.protocol.messages import TICK_HZ, Plan, StateFrame
+from shared.tasks.interface import Trace
+
+PLANNER_RETRY_S = 0.5
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """What one cycle brought: the state after it, the ticks it covered, the plans, and whether the planner answered.
+
+    Attributes:
+        trace: the ticks after the previous cycle's up to the state's own.
+        planner_error: why no plan came, or None.
+    """
+
+    state: StateFrame
+    trace: Trace
+    plans: tuple[PlanTiming, ...] = ()
+    planner_error: str | None = None
+
+
+class Driver(Protocol):
+    """One way to let time pass."""
+
+    async def cycle(self, source: GoalSource, max_ticks: int | None = None) -> Cycle:
+        """Let the character go on for a while under `source`; raises TransportError when the tracker is gone."""
+        ...
+
+    def replan_now(self) -> None:
+        """A command changed: do not wait for the replan period."""
+        ...
+
+    async def close(self) -> None:
+        """Stop whatever is under way."""
+        ...
+
+
+def _unavailable(error: MotionLoopError) -> bool:
+    """Whether the planner is away or overloaded, as against having refused this one request."""
+    return isinstance(error, TransportError) or error.retryable
+
+
+class LockstepDriver:
+    """Plan, wait for it, advance by the replan period. The same seed gives the same log.
+
+    While the planner is away the physics goes on at the pace of the wall clock, on the tracker's standing extension,
+    so that an outage costs simulated time and not thousands of ticks.
+    """
+
+    def __init__(self, loop: CharacterLoop, start: StateFrame):
+        self._loop = loop
+        self._state = start
+        self._seen = start.tick
+        self._next_plan_tick = start.tick
+        self._pending: Plan | None = None
+
+    def replan_now(self) -> None:
+        """Plan at the next tick divisible by 3."""
+        self._next_plan_tick = self._state.tick
+
+    async def close(self) -> None:
+        """Nothing runs between cycles."""
+
+    async def cycle(self, source: GoalSource, max_ticks: int | None = None) -> Cycle:
+        """One plan (when due) and the ticks until the next, at most `max_ticks`."""
+        settings = self._loop.settings
+        tick = self._state.tick
+        plans: list[PlanTiming] = []
+        trouble: str | None = None
+        if tick >= self._next_plan_tick and tick % 3 == 0:
+            lead = settings.plan_lead_ticks if self._loop.last_plan is not None else 0
+            start_tick = start_tick_for(tick, lead)
+            began = time.perf_counter()
+            try:
+                goal = source(view_of(self._state), start_tick)
+                plan = await self._loop.make_plan(goal, tick, start_tick)
+            except MotionLoopError as error:
+                if not _unavailable(error):
+                    raise
+                trouble = error.message
+            else:
+                reply = await self._loop.track(plan)
+                total_ms = (time.perf_counter() - began) * 1e3
+                plans.append(
+                    PlanTiming(
+                        self._loop.plans_made - 1, start_tick, reply.accepted, reply.entered_tick, total_ms,
+                        goal.text, reply.reason,
+                    )
+                )  # fmt: skip
+            self._next_plan_tick = tick + settings.replan_ticks
+        ticks = max(self._next_plan_tick - tick, 3 - tick % 3)
+        ticks = ticks if max_ticks is None else max(1, min(ticks, max_ticks))
+        if trouble is not None:
+            await asyncio.sleep(ticks / TICK_HZ)
+        self._state = await self._loop.step(ticks)
+        trace = await self._loop.trace(self._seen + 1, self._state.tick + 1)
+        self._seen = self._state.tick
+        return Cycle(self._state, trace, tuple(plans), trouble)
+
+
+@dataclass
+class _Request:
+    """A plan under way."""
+
+    task: asyncio.Task[Plan]
+    start_tick: int
+    text: str | None
+    began_s: float = field(default_factory=time.perf_counter)
+
+
+class RealtimeDriver:
+    """The tracker's clock runs; plans are requested `plan_lead_ticks` ahead and handed over when they come.
+
+    A cycle is one look at the character (`poll_s`): it never waits for the planner.
+    """
+
+    def __init__(self, loop: CharacterLoop, start: StateFrame, poll_s: float = 0.033):
+        self._loop = loop
+        self._state = start
+        self._seen = start.tick
+        self._next_plan_tick = start.tick
+        self._poll_s = poll_s
+        self._request: _Request | None = None
+        self._retry_at_s = 0.0
+        self._trouble: str | None = None
+
+    def replan_now(self) -> None:
+        """Request at the next look; a plan under way for the old command is thrown away."""
+        self._next_plan_tick = self._state.tick
+        if self._request is not None:
+            self._request.task.cancel()
+            self._request = None
+
+    async def close(self) -> None:
+        """Give up the plan under way."""
+        if self._request is not None:
+            self._request.task.cancel()
+            with contextlib.suppress(asyncio.CancelledError, MotionLoopError):
+                await self._request.task
+            self._request = None
+
+    async def cycle(self, source: GoalSource, max_ticks: int | None = None) -> Cycle:
+        """Wait one poll, look, collect a plan that has come, and request one that is due."""
+        await asyncio.sleep(self._poll_s)
+        self._state = await self._loop.observe()
+        plans: list[PlanTiming] = []
+        if self._request is not None and self._request.task.done():
+            plans.extend(await self._collect(self._request))
+            self._request = None
+        tick = self._state.tick
+        due = tick >= self._next_plan_tick and not self._state.paused
+        if self._request is None and due and time.monotonic() >= self._retry_at_s:
+            self._launch(source, tick)
+        stop = max(self._seen, tick) + 1
+        trace = await self._loop.trace(self._seen + 1, stop)
+        self._seen = stop - 1
+        return Cycle(self._state, trace, tuple(plans), self._trouble)
+
+    def _launch(self, source: GoalSource, tick: int) -> None:
+        settings = self._loop.settings
+        start_tick = start_tick_for(tick, settings.plan_lead_ticks)
+        goal = source(view_of(self._state), start_tick)
+        task = asyncio.create_task(self._loop.make_plan(goal, tick, start_tick))
+        self._request = _Request(task, start_tick, goal.text)
+        self._next_plan_tick = tick + settings.replan_ticks
+
+    async def _collect(self, request: _Request) -> list[PlanTiming]:
+        try:
+            plan = request.task.result()
+        except asyncio.CancelledError:
+            return []
+        except MotionLoopError as error:
+            if not _unavailable(error):
+                raise
+            self._trouble = error.message
+            self._retry_at_s = time.monotonic() + PLANNER_RETRY_S
+            self._next_plan_tick = self._state.tick
+            return []
+        self._trouble = None
+        total_ms = (time.perf_counter() - request.began_s) * 1e3
+        reply = await self._loop.track(plan)
+        if not reply.accepted:
+            self._next_plan_tick = self._state.tick
+        return [
+            PlanTiming(
+                self._loop.plans_made - 1, plan.start_tick, reply.accepted, reply.entered_tick, total_ms,
+                request.text, reply.reason,
+            )
+        ]  # fmt: skip

@@ -1,0 +1,378 @@
+"""An episode: tasks one after another on one character, driven by the state machine."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+
+from orchestrator.core.drivers import Cycle, Driver, LockstepDriver, RealtimeDriver
+from orchestrator.core.events import EventLog
+from orchestrator.core.loop import CharacterLoop, plan_seed
+from orchestrator.core.machine import (
+    Action,
+    MachineState,
+    Phase,
+    Signal,
+    timed_out,
+    transition,
+    with_limit,
+)
+from orchestrator.core.services import Services
+from orchestrator.core.settings import LOCKSTEP, REALTIME, LoopSettings
+from shared.errors import ConflictError, MotionLoopError, NotFoundError, TransportError
+from shared.protocol.messages import TICK_HZ, CreateCharacter, Name, Pacing, ResetCharacter, Seed, StateFrame
+from shared.tasks.builtin import STAND_TEXT
+from shared.tasks.factory import make_task
+from shared.tasks.interface import BodyView, PlanGoal, Task, Trace, Verdict
+from shared.tasks.rules import SAFE_TICKS
+from shared.tasks.specs import TaskSpec, TimeLimit
+
+STOOD_UP_TICKS = 15
+REPORT_TICKS = 15
+
+
+class EpisodeSpec(BaseModel):
+    """What to do, with what, and how.
+
+    Attributes:
+        order: `random` shuffles the tasks by the seed.
+        loop: settings of the loop; None for the defaults of the pacing.
+        time_limit_s: simulated seconds for all tasks together; None for the sum of theirs.
+        heading_rad: which way the character faces at the start.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    name: Annotated[str, Field(max_length=80)] | None = None
+    scene: Name = "flat"
+    tasks: Annotated[list[TaskSpec], Field(min_length=1, max_length=200)]
+    order: Literal["sequence", "random"] = "sequence"
+    seed: Seed = 0
+    pacing: Pacing = "lockstep"
+    time_limit_s: TimeLimit | None = None
+    planner: Name | None = None
+    tracker: Name | None = None
+    loop: LoopSettings | None = None
+    heading_rad: Annotated[FiniteFloat, Field(ge=-100, le=100)] = 0.0
+
+
+class TaskResult(BaseModel):
+    """How one task went. `seconds` counts from its start to the goal (or its end)."""
+
+    model_config = ConfigDict(frozen=True)
+    index: int
+    name: str
+    type: str
+    label: str
+    success_strict: bool
+    success_paper: bool
+    success_code: bool
+    fell: bool
+    seconds: float
+    start_tick: int
+    stop_tick: int
+    reason: str | None = None
+    measures: dict[str, float] = {}
+
+
+class EpisodeOutcome(BaseModel):
+    """How the episode ended."""
+
+    model_config = ConfigDict(frozen=True)
+    status: Literal["finished", "failed", "cancelled"]
+    reason: str | None
+    success: bool
+    results: list[TaskResult]
+    ticks: int
+    plans: int
+    missed_ticks: int
+
+
+@dataclass
+class _Running:
+    """The task being performed."""
+
+    index: int
+    task: Task
+    begin_tick: int
+    positions: list[np.ndarray] = field(default_factory=list)
+    fallen: list[np.ndarray] = field(default_factory=list)
+
+    def add(self, trace: Trace) -> None:
+        skip = max(0, self.begin_tick + 1 - trace.start_tick)
+        self.positions.append(trace.pos_w_m[skip:])
+        self.fallen.append(trace.fallen[skip:])
+
+    def trace(self) -> Trace:
+        return Trace(self.begin_tick + 1, np.concatenate(self.positions), np.concatenate(self.fallen))
+
+
+def task_seed(seed: int, index: int) -> int:
+    """Seed of a task's own randomisation."""
+    return int.from_bytes(hashlib.sha256(f"{seed}/task/{index}".encode()).digest()[:8], "little") >> 1
+
+
+class EpisodeRunner:
+    """Runs one episode to its end, whatever happens on the way; `run` never hangs, since every wait has a deadline.
+
+    Args:
+        episode_id: also the character's id at the tracker, where the character stays until it is closed.
+        spec: what to do.
+        services: planner and tracker.
+        events: where to say what happens.
+        on_cycle: called after every cycle (live state, recording).
+    """
+
+    def __init__(
+        self,
+        episode_id: str,
+        spec: EpisodeSpec,
+        services: Services,
+        events: EventLog,
+        on_cycle: Callable[[Cycle], None] | None = None,
+    ):
+        self.episode_id = episode_id
+        self.spec = spec
+        self.events = events
+        self.results: list[TaskResult] = []
+        self.tick = 0
+        self.created = False
+        settings = spec.loop or (LOCKSTEP if spec.pacing == "lockstep" else REALTIME)
+        self.loop = CharacterLoop(episode_id, services, settings, spec.seed, spec.planner)
+        self._services = services
+        self._on_cycle = on_cycle
+        self._order = self._task_order()
+        self._machine = MachineState()
+        self._running: _Running | None = None
+        self._next = 0
+        self._driver: Driver | None = None
+        self._cancelled = False
+        self._reason: str | None = None
+        self._missed = 0
+        self._last_report = 0
+
+    @property
+    def phase(self) -> Phase:
+        """Where the state machine is."""
+        return self._machine.phase
+
+    def cancel(self) -> None:
+        """End the episode at the next cycle."""
+        self._cancelled = True
+
+    async def run(self) -> EpisodeOutcome:
+        """Create the character, perform the tasks, say how it went. Never raises for what services do."""
+        try:
+            state = await self._create()
+            self._driver = (
+                LockstepDriver(self.loop, state) if self.spec.pacing == "lockstep" else RealtimeDriver(self.loop, state)
+            )
+            await self._fire(Signal.START, state)
+            while not self._machine.over:
+                await self._turn(self._driver)
+        except (TransportError, NotFoundError) as error:
+            self._reason = f"the tracker is gone: {error.message}"
+            await self._fire(Signal.TRACKER_LOST, None)
+        except MotionLoopError as error:
+            self._reason = error.message
+            await self._fire(Signal.TRACKER_LOST, None)
+        finally:
+            if self._driver is not None:
+                await self._driver.close()
+        return self._outcome()
+
+    async def _create(self) -> StateFrame:
+        spec = self.spec
+        request = CreateCharacter(
+            scene=spec.scene,
+            tracker=spec.tracker or self._services.tracker.plugin,
+            pacing=spec.pacing,
+            seed=spec.seed,
+            heading_rad=spec.heading_rad,
+        )
+        timeout_s = self.loop.settings.tracker_timeout_s
+        state = await self._services.tracker.ask(StateFrame, request, self.episode_id, timeout_s)
+        self.created = True
+        return state
+
+    async def _turn(self, driver: Driver) -> None:
+        cycle = await driver.cycle(self._goal)
+        state = cycle.state
+        self.tick, self._missed = state.tick, state.missed_ticks
+        if self._running is not None:
+            self._running.add(cycle.trace)
+        for plan in cycle.plans:
+            self.events.emit("plan", state.tick, **asdict(plan))
+        if state.tick - self._last_report >= REPORT_TICKS:
+            self._last_report = state.tick
+            self._report(state)
+        if self._on_cycle is not None:
+            self._on_cycle(cycle)
+        signal = self._signal(cycle)
+        if signal is not None:
+            await self._fire(signal, state)
+
+    def _signal(self, cycle: Cycle) -> Signal | None:
+        """The most important thing that the cycle showed."""
+        state, phase = cycle.state, self._machine.phase
+        if self._cancelled:
+            self._reason = "cancelled"
+            return Signal.CANCEL
+        if state.tick >= self._limit_s() * TICK_HZ:
+            self._reason = "the episode's time limit was reached"
+            return Signal.EPISODE_TIMED_OUT
+        performing = phase in (Phase.ACTING, Phase.SETTLING, Phase.DEGRADED)
+        if performing and state.failure is not None:
+            self._reason = state.failure
+            return Signal.PHYSICS_FAILED
+        if performing and (state.fallen or bool(cycle.trace.fallen.any())):
+            return Signal.FELL
+        if phase is Phase.DEGRADED:
+            back = cycle.planner_error is None and bool(cycle.plans)
+            if not back and timed_out(self._machine, state.tick):
+                self._reason = f"the planner stayed away: {cycle.planner_error}"
+                return Signal.TIMED_OUT
+            return Signal.PLANNER_BACK if back else None
+        if performing and cycle.planner_error is not None:
+            self.events.emit("planner_lost", state.tick, reason=cycle.planner_error)
+            return Signal.PLANNER_LOST
+        running = self._running
+        if phase is Phase.ACTING and running is not None:
+            status = running.task.status(running.trace())
+            if status != "running":
+                return Signal.TASK_DONE if status == "done" else Signal.TASK_FAILED
+        elapsed = state.tick - self._machine.entered_tick
+        if phase is Phase.SETTLING and elapsed > SAFE_TICKS:
+            return Signal.SETTLED
+        if phase is Phase.RECOVERING and not state.fallen and elapsed >= STOOD_UP_TICKS:
+            return Signal.STOOD_UP
+        return Signal.TIMED_OUT if timed_out(self._machine, state.tick) else None
+
+    async def _fire(self, signal: Signal, state: StateFrame | None) -> None:
+        before = self._machine.phase
+        self._machine, actions = transition(self._machine, signal, self.tick)
+        if self._machine.phase is not before:
+            self.events.emit("state", self.tick, before=before, after=self._machine.phase, signal=signal)
+        for action in actions:
+            follow_up = await self._do(action, signal, state)
+            if follow_up is not None:
+                await self._fire(follow_up, state)
+        if self._machine.phase is Phase.ACTING and self._machine.timeout_ticks is None and self._running is not None:
+            self._machine = with_limit(self._machine, self._running.task.time_limit_s)
+
+    async def _do(self, action: Action, signal: Signal, state: StateFrame | None) -> Signal | None:
+        if action is Action.CHOOSE_TASK:
+            return Signal.TASK_CHOSEN if self._next < len(self._order) else Signal.TASKS_EXHAUSTED
+        if action is Action.BEGIN_TASK and state is not None:
+            self._begin(state)
+        elif action is Action.JUDGE_TASK:
+            self._judge(signal)
+        elif action is Action.RESET_CHARACTER:
+            await self._reset()
+        elif action is Action.REPLAN and self._driver is not None:
+            self.events.emit("planner_back", self.tick)
+            self._driver.replan_now()
+        elif action is Action.ABORT and self._running is not None:
+            self._judge(signal)
+        return None
+
+    def _begin(self, state: StateFrame) -> None:
+        index = self._order[self._next]
+        self._next += 1
+        task = make_task(self.spec.tasks[index], task_seed(self.spec.seed, index))
+        task.start(BodyView(state.tick, np.asarray(state.body_pos_w_m, dtype=np.float64), state.fallen))
+        self._running = _Running(index, task, state.tick, [np.zeros((0, *state.body_pos_w_m.shape))], [np.zeros(0, bool)])
+        if self._driver is not None:
+            self._driver.replan_now()
+        self.events.emit("task_begin", state.tick, index=index, task=task.kind, label=task.label)
+
+    def _judge(self, signal: Signal) -> None:
+        running = self._running
+        if running is None:
+            return
+        self._running = None
+        trace = running.trace()
+        verdict = running.task.judge(trace) if len(trace) else Verdict(False, False, False, False, 0.0, {})
+        reason = None if verdict.strict else self._why_not(signal, verdict)
+        spec = self.spec.tasks[running.index]
+        result = TaskResult(
+            index=running.index,
+            name=spec.name or running.task.label,
+            type=running.task.kind,
+            label=running.task.label,
+            success_strict=verdict.strict,
+            success_paper=verdict.paper,
+            success_code=verdict.code,
+            fell=verdict.fell,
+            seconds=round(verdict.seconds, 3),
+            start_tick=running.begin_tick,
+            stop_tick=self.tick,
+            reason=reason,
+            measures={name: round(value, 4) for name, value in verdict.measures.items()},
+        )
+        self.results.append(result)
+        self.events.emit("task_end", self.tick, **result.model_dump())
+
+    def _why_not(self, signal: Signal, verdict: Verdict) -> str:
+        if verdict.fell:
+            return "fell"
+        if signal is Signal.TIMED_OUT:
+            return "timed out"
+        if signal is Signal.SETTLED:
+            return "the motion does not show it"
+        return self._reason or str(signal)
+
+    async def _reset(self) -> None:
+        timeout_s = self.loop.settings.tracker_timeout_s
+        await self._services.tracker.ask(StateFrame, ResetCharacter(), self.episode_id, timeout_s)
+        self.loop.forget_plans()
+        if self._driver is not None:
+            self._driver.replan_now()
+        self.events.emit("reset", self.tick)
+
+    def _goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
+        return PlanGoal(text=STAND_TEXT) if self._running is None else self._running.task.goal(view, plan_tick)
+
+    def _report(self, state: StateFrame) -> None:
+        x, y = (float(v) for v in state.body_pos_w_m[0, :2])
+        self.events.emit(
+            "progress", state.tick, phase=self._machine.phase, x_m=round(x, 3), y_m=round(y, 3),
+            tracking_error_m=round(state.tracking_error_m, 4), missed_ticks=state.missed_ticks,
+        )  # fmt: skip
+
+    def _limit_s(self) -> float:
+        if self.spec.time_limit_s is not None:
+            return self.spec.time_limit_s
+        # Room for the settling second, a reset and an outage of the planner after each task.
+        return sum(make_task(task, 0).time_limit_s + 10.0 for task in self.spec.tasks) + 120.0
+
+    def _task_order(self) -> list[int]:
+        order = list(range(len(self.spec.tasks)))
+        if self.spec.order == "random":
+            np.random.default_rng(plan_seed(self.spec.seed, -1)).shuffle(order)
+        return order
+
+    def _outcome(self) -> EpisodeOutcome:
+        phase = self._machine.phase
+        if phase is Phase.FINISHED:
+            status: Literal["finished", "failed", "cancelled"] = "finished"
+        elif phase is Phase.CANCELLED:
+            status = "cancelled"
+        elif phase is Phase.FAILED:
+            status = "failed"
+        else:
+            raise ConflictError(f"the episode is still {phase}")
+        done = len(self.results) == len(self.spec.tasks) and all(r.success_strict for r in self.results)
+        return EpisodeOutcome(
+            status=status,
+            reason=None if status == "finished" else self._reason,
+            success=status == "finished" and done,
+            results=self.results,
+            ticks=self.tick,
+            plans=self.loop.plans_made,
+            missed_ticks=self._missed,
+        )

@@ -1,0 +1,207 @@
+"""The loop of one character: simulated prefix -> plan -> tracker (CLoSD's loop, DESIGN 6)."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.core.services import Services
+from orchestrator.core.settings import LoopSettings
+from orchestrator.core.stitch import PREFIX_FRAMES, PlanBuffer, build_prefix, frame_of_tick, last_frame_by
+from shared.errors import MalformedMessageError
+from shared.motion.ik import clip_from_positions
+from shared.motion.skeleton import CANONICAL
+from shared.protocol.messages import (
+    PLANNER_FPS,
+    TICK_HZ,
+    GetTicks,
+    Observe,
+    Plan,
+    PlanRequest,
+    StateFrame,
+    Step,
+    TickRange,
+    Track,
+    TrackReply,
+)
+from shared.tasks.interface import BodyView, PlanGoal, Trace
+
+GoalSource = Callable[[BodyView, int], PlanGoal]
+"""What to ask for, given the body now and the tick the plan will start at."""
+
+MAX_TRACE_TICKS = 900
+
+
+def plan_seed(seed: int, index: int) -> int:
+    """Seed of the index-th plan of an episode: the same everywhere, unrelated between plans."""
+    return int.from_bytes(hashlib.sha256(f"{seed}:{index}".encode()).digest()[:8], "little") >> 1
+
+
+@dataclass(frozen=True)
+class PlanTiming:
+    """One plan as it came: for events and measurements."""
+
+    index: int
+    start_tick: int
+    accepted: bool
+    entered_tick: int | None
+    total_ms: float
+    text: str | None
+    reason: str | None = None
+
+
+def view_of(state: StateFrame) -> BodyView:
+    """The body in a state frame."""
+    return BodyView(state.tick, np.asarray(state.body_pos_w_m, dtype=np.float64), state.fallen)
+
+
+class CharacterLoop:
+    """Requests, joins and delivers the plans of one character.
+
+    Args:
+        character_id: as the tracker knows it.
+        services: where planner and tracker are.
+        settings: how plans are requested.
+        seed: of the episode; every plan's seed comes from it and the plan's index.
+        planner: plug-in to ask for, None for the slot's.
+    """
+
+    def __init__(
+        self, character_id: str, services: Services, settings: LoopSettings, seed: int, planner: str | None = None
+    ):
+        self.character_id = character_id
+        self.settings = settings
+        self.planner = planner
+        self._services = services
+        self._seed = seed
+        self._buffer = PlanBuffer()
+        self.plans_made = 0
+        self.last_plan: Plan | None = None
+
+    def forget_plans(self) -> None:
+        """After a reset: the old plan says nothing about the character any more."""
+        self._buffer.clear()
+        self.last_plan = None
+
+    async def observe(self) -> StateFrame:
+        """The present state."""
+        return await self._services.tracker.ask(
+            StateFrame, Observe(), self.character_id, self.settings.tracker_timeout_s
+        )
+
+    async def step(self, ticks: int) -> StateFrame:
+        """Advance a lockstep character."""
+        return await self._services.tracker.ask(
+            StateFrame, Step(ticks=ticks), self.character_id, self.settings.tracker_timeout_s
+        )
+
+    async def trace(self, start_tick: int, stop_tick: int) -> Trace:
+        """The log at 30 Hz, ticks start..stop-1."""
+        positions, fallen = [], []
+        for begin in range(start_tick, stop_tick, MAX_TRACE_TICKS):
+            part = await self.ticks(begin, min(begin + MAX_TRACE_TICKS, stop_tick), TICK_HZ)
+            positions.append(np.asarray(part.body_pos_w_m, dtype=np.float64))
+            fallen.append(np.asarray(part.fallen, dtype=bool))
+        if not positions:
+            return Trace(start_tick, np.zeros((0, len(CANONICAL), 3)), np.zeros(0, dtype=bool))
+        return Trace(start_tick, np.concatenate(positions), np.concatenate(fallen))
+
+    async def ticks(self, start_tick: int, stop_tick: int, rate_hz: int, reference: bool = False) -> TickRange:
+        """A range of the tracker's log (at most 4096 samples)."""
+        request = GetTicks.model_validate(
+            {"start_tick": start_tick, "stop_tick": stop_tick, "rate_hz": rate_hz, "include_reference": reference}
+        )
+        return await self._services.tracker.ask(
+            TickRange, request, self.character_id, self.settings.tracker_timeout_s
+        )
+
+    async def make_plan(self, goal: PlanGoal, now_tick: int, start_tick: int) -> Plan:
+        """Ask the planner for the motion from `start_tick` on; the character is at `now_tick` <= start_tick.
+
+        The prefix is what was simulated up to now and then the rest of the old plan (DESIGN 6).
+        """
+        request = await self._request(goal, now_tick, start_tick)
+        plan = await self._services.planner.ask(Plan, request, self.character_id, self.settings.plan_timeout_s)
+        frames = len(np.asarray(plan.positions_w_m))
+        if plan.start_tick != start_tick or frames < 1:
+            raise MalformedMessageError(
+                f"a plan of {frames} frames from tick {plan.start_tick} came",
+                field="start_tick",
+                allowed=f"at least one frame from tick {start_tick}",
+            )
+        self.plans_made += 1
+        return plan
+
+    async def track(self, plan: Plan) -> TrackReply:
+        """Hand a plan to the tracker; an accepted one enters the buffer, the old one ends where it starts."""
+        reply = await self._services.tracker.ask(
+            TrackReply,
+            Track(
+                start_tick=plan.start_tick,
+                skeleton=plan.skeleton,
+                positions_w_m=plan.positions_w_m,
+                rotations_6d=plan.rotations_6d,
+            ),
+            self.character_id,
+            self.settings.tracker_timeout_s,
+        )
+        if reply.accepted:
+            self._buffer.put(frame_of_tick(plan.start_tick) + 1, plan.positions_w_m)
+            self.last_plan = plan
+        return reply
+
+    async def _request(self, goal: PlanGoal, now_tick: int, start_tick: int) -> PlanRequest:
+        end_frame = frame_of_tick(start_tick)
+        now_frame = last_frame_by(now_tick)
+        # Even frames are ticks; the range ends so that it holds `now_frame` and no sample that is still to come.
+        first_tick = now_frame // 2 * 3 - (PREFIX_FRAMES + 2) // 2 * 3
+        stop_tick = now_tick + (1 if now_tick % 3 == 0 else 0)
+        log = await self.ticks(first_tick, stop_tick, PLANNER_FPS)
+        simulated = np.asarray(log.body_pos_w_m, dtype=np.float64)
+        if self.settings.mode == "open_loop":
+            oldest = now_frame - len(simulated) + 1
+            if self._buffer.has(oldest):
+                simulated = self._buffer.get(oldest, now_frame + 1)
+            elif not self._buffer.has(now_frame):
+                self._buffer.put(oldest, simulated)
+        prefix = build_prefix(
+            simulated, now_frame, end_frame, self._buffer, PREFIX_FRAMES, self.settings.error_decay_s
+        )
+        clip = clip_from_positions(prefix.positions_w_m, PLANNER_FPS)
+        guidance = goal.guidance if goal.guidance is not None else self.settings.guidance
+        return PlanRequest.model_validate(
+            {
+                "planner": self.planner or self._services.planner.plugin,
+                "start_tick": start_tick,
+                "prefix_positions_w_m": prefix.positions_w_m,
+                "prefix_rotations_6d": clip.rotations_6d,
+                "prefix_velocities_w_mps": prefix.velocities_w_mps,
+                "context_frames": prefix.context_frames,
+                "text": goal.text,
+                "targets": list(goal.targets),
+                "heading": goal.heading,
+                "desired_velocity_w_mps": goal.desired_velocity_w_mps,
+                "guidance": guidance,
+                "horizon_frames": self.settings.horizon_frames,
+                "seed": plan_seed(self._seed, self.plans_made),
+                **keyframe_arrays(goal),
+            }
+        )
+
+
+def keyframe_arrays(goal: PlanGoal) -> dict[str, np.ndarray]:
+    """Keyframes of a goal as the arrays of a PlanRequest; empty when there are none."""
+    if not goal.keyframe_ticks:
+        return {}
+    count = len(goal.keyframe_ticks)
+    mask = np.zeros((count, len(CANONICAL)), "|u1")
+    positions = np.zeros((count, len(CANONICAL), 3), "<f4")
+    for k, (names, places) in enumerate(zip(goal.keyframe_joints, goal.keyframe_positions_w_m, strict=True)):
+        for name, place in zip(names, places, strict=True):
+            mask[k, CANONICAL.index(name)] = 1
+            positions[k, CANONICAL.index(name)] = place
+    ticks = np.array(goal.keyframe_ticks, "<i8")
+    return {"keyframe_ticks": ticks, "keyframe_mask": mask, "keyframe_positions_w_m": positions}

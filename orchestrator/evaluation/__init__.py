@@ -1,0 +1,1 @@
+"""Measuring tasks, text commands and speed over the real services."""

@@ -1,0 +1,1 @@
+"""Recordings as files other tools read."""

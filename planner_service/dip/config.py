@@ -1,0 +1,56 @@
+"""Sizes of DiP. `tiny` is for tests, `small` ships, `full` has the paper's sizes (REFERENCE 1)."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from shared.errors import InvalidInputError
+from shared.motion.features import FEATURES
+
+Size = Literal["tiny", "small", "full"]
+
+
+class DipConfig(BaseModel):
+    """Everything that fixes the network's shape and its diffusion.
+
+    Attributes:
+        prefix_frames, plan_frames: clean and planned frames at 20 fps.
+        first_arrival_frame: earliest plan frame (counted from 1) at which a target may hold.
+        steps: diffusion steps.
+        text_encoder, text_dim: name of the text encoder and numbers in one of its tokens.
+        norm_first: normalise before each block (trains in fewer steps) instead of after it (the paper's).
+        condition_every_frame: add the time and target embedding to every planned frame's token, too, beside its place
+            in the memory.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    width: int = Field(256, gt=0)
+    layers: int = Field(6, gt=0)
+    heads: int = Field(4, gt=0)
+    ff: int = Field(1024, gt=0)
+    dropout: float = Field(0.1, ge=0, lt=1)
+    features: int = FEATURES
+    prefix_frames: int = Field(20, gt=1)
+    plan_frames: int = Field(40, gt=0)
+    first_arrival_frame: int = Field(8, gt=0)
+    steps: int = Field(10, gt=0)
+    text_encoder: str = "minilm-l6-v2"
+    text_dim: int = Field(384, gt=0)
+    norm_first: bool = True
+    condition_every_frame: bool = True
+
+
+def preset(size: str) -> DipConfig:
+    """Sizes by name; raises InvalidInputError listing the names."""
+    presets = {
+        "tiny": DipConfig(width=32, layers=2, heads=2, ff=64, dropout=0.0),
+        "small": DipConfig(),
+        "full": DipConfig(
+            width=512, layers=8, heads=4, ff=1024, dropout=0.1, norm_first=False, condition_every_frame=False
+        ),
+    }
+    if size not in presets:
+        raise InvalidInputError(f"unknown size {size!r}", field="size", allowed=", ".join(presets))
+    return presets[size]

@@ -1,0 +1,83 @@
+"""DDPM (Ho et al. 2020) with a cosine schedule (Nichol & Dhariwal 2021) that predicts x0, and its guided sampler.
+
+Few steps, fixed small posterior variance, no noise at the last step (REFERENCE 1).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+Denoiser = Callable[[Tensor, Tensor], Tensor]
+"""(noisy (B, N, F), step (B,)) -> predicted x0 (B, N, F)."""
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Constants of the diffusion, each (steps,) float32.
+
+    Attributes:
+        alpha_bar: share of the signal's variance left at a step.
+        x0_weight, xt_weight: posterior mean = x0_weight * x0 + xt_weight * x_t.
+        sigma: posterior standard deviation; zero at step 0.
+    """
+
+    alpha_bar: Tensor
+    x0_weight: Tensor
+    xt_weight: Tensor
+    sigma: Tensor
+
+    @property
+    def steps(self) -> int:
+        """How many there are."""
+        return int(self.alpha_bar.shape[0])
+
+
+def cosine_schedule(steps: int, offset: float = 0.008, max_beta: float = 0.999) -> Schedule:
+    """The cosine schedule over `steps` steps."""
+
+    def level(t: float) -> float:
+        return math.cos((t + offset) / (1 + offset) * math.pi / 2) ** 2
+
+    beta = torch.tensor(
+        [min(1 - level((i + 1) / steps) / level(i / steps), max_beta) for i in range(steps)], dtype=torch.float64
+    )
+    alpha_bar = torch.cumprod(1 - beta, dim=0)
+    before = torch.cat([torch.ones(1, dtype=torch.float64), alpha_bar[:-1]])
+    return Schedule(
+        alpha_bar=alpha_bar.float(),
+        x0_weight=(beta * before.sqrt() / (1 - alpha_bar)).float(),
+        xt_weight=((1 - before) * (1 - beta).sqrt() / (1 - alpha_bar)).float(),
+        sigma=(beta * (1 - before) / (1 - alpha_bar)).sqrt().float(),
+    )
+
+
+def add_noise(schedule: Schedule, x0: Tensor, step: Tensor, noise: Tensor) -> Tensor:
+    """x_t (B, N, F) of clean x0 at steps (B,)."""
+    a = schedule.alpha_bar[step][:, None, None]
+    return a.sqrt() * x0 + (1 - a).sqrt() * noise
+
+
+def sample(schedule: Schedule, denoise: Denoiser, noise: Tensor) -> Tensor:
+    """Ancestral sampling.
+
+    Args:
+        schedule: the diffusion's constants.
+        denoise: the (guided) network.
+        noise: (steps, B, N, F) standard normal: row 0 is x_T, row i the noise added after the i-th network call.
+
+    Returns:
+        (B, N, F) the last x0.
+    """
+    x = noise[0]
+    for i, number in enumerate(reversed(range(schedule.steps))):
+        step = torch.full((x.shape[0],), number, dtype=torch.int64)
+        x0 = denoise(x, step)
+        if number == 0:
+            return x0
+        x = schedule.x0_weight[number] * x0 + schedule.xt_weight[number] * x + schedule.sigma[number] * noise[i + 1]
+    return x

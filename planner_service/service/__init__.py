@@ -1,0 +1,1 @@
+"""The planner over ZeroMQ: sockets, batching, checks."""

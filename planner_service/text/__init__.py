@@ -1,0 +1,1 @@
+"""Sentences to token features: MiniLM by default, DistilBERT from a local folder."""

@@ -1,0 +1,1 @@
+"""Training, export and kinematic evaluation of DiP."""

@@ -1,0 +1,1 @@
+"""Motion, protocol, plug-in interfaces and data handling used by every motionloop service."""

@@ -1,0 +1,1 @@
+"""Recorded motion: retargeting, grounding, made motion, labels and the training corpus."""

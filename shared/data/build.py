@@ -1,0 +1,249 @@
+"""`motionloop data build`: from a folder of recordings to a training corpus."""
+
+from __future__ import annotations
+
+import hashlib
+import tarfile
+import tempfile
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shared.data.body import Array, mirror, origin_start
+from shared.data.corpus import FORMAT, FPS, ClipInfo, write_corpus
+from shared.data.label import rotation_steps_rad
+from shared.data.limbs import bends_rad
+from shared.data.pieces import Piece, Report, duplicate_takes, pieces_of
+from shared.data.retarget import calibrate, retarget
+from shared.data.sources import Take, list_takes
+from shared.data.splice import local_rotations
+from shared.data.texts import clean, swap_sides
+from shared.errors import InvalidInputError
+from shared.motion.io.raw import RawMotion
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the share of the whole that is finished, 0 to 1."""
+
+HELDOUT_SHARE = 0.1
+
+BEHAVIOUR_SHARES = {
+    "walk": 0.24, "run": 0.09, "turn": 0.11, "stand": 0.08, "wave": 0.11, "jump": 0.09, "punch": 0.03, "kick": 0.04,
+    "squat": 0.03, "sneak": 0.02, "dance": 0.05, "gesture": 0.04, "get_up": 0.015, "lie_down": 0.015, "pick_up": 0.02,
+    "throw": 0.015, "other": 0.03,
+}  # fmt: skip
+"""Share of training samples by behaviour: what a command can ask for comes first, whatever its minutes."""
+
+_DUPLICATES_AMONG = ("cmu_subjects", "cmu_asfamc", "cmu_actions")
+
+
+def quiet(stage: str, share: float) -> None:
+    """Progress that shows nothing."""
+
+
+def unpacked(folder: Path, stack: ExitStack) -> Path:
+    """The folder itself, or a temporary one with its .tar.xz archives unpacked.
+
+    Raises:
+        InvalidInputError: no such folder, or an archive that cannot be read.
+    """
+    if not folder.is_dir():
+        raise InvalidInputError(f"{folder} is not a folder", field="mocap_dir", allowed="a folder of recordings")
+    archives = sorted(folder.glob("*.tar.xz"))
+    if not archives:
+        return folder
+    scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="motionloop-mocap-")))
+    for archive in archives:
+        try:
+            with tarfile.open(archive) as tar:
+                tar.extractall(scratch, filter="data")
+        except (tarfile.TarError, OSError) as error:
+            raise InvalidInputError(f"{archive.name}: {error}", field="mocap_dir") from error
+    return scratch
+
+
+def hash_inputs(folder: Path) -> str:
+    """sha256 over names and contents of all files below a folder."""
+    digest = hashlib.sha256()
+    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+        digest.update(str(path.relative_to(folder)).encode())
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def recorded_pieces(takes: Sequence[Take], report: Report, progress: Progress) -> list[Piece]:
+    """Pieces of all usable takes; repeated recordings are left out."""
+    groups: dict[str, list[Take]] = defaultdict(list)
+    for take in takes:
+        if take.skip:
+            report.drop(take.name, take.skip)
+        else:
+            groups[take.skeleton_key].append(take)
+    pieces: list[Piece] = []
+    bends: list[tuple[str, Array]] = []
+    done, total = 0, sum(len(g) for g in groups.values())
+    # Sources whose file names tell the trial come first, so that of two copies the better described one stays.
+    order = sorted(groups, key=lambda k: (k.split("/")[0] == "cmu_actions", k.split("/")[0] == "cmu_asfamc", k))
+    for key in order:
+        raws: list[tuple[Take, RawMotion]] = []
+        for take in groups[key]:
+            try:
+                raws.append((take, take.read()))
+            except InvalidInputError as error:
+                report.drop(take.name, error.message)
+        if not raws:
+            continue
+        calibration = calibrate([raw for _, raw in raws])
+        for take, raw in raws:
+            if take.source in _DUPLICATES_AMONG:
+                own = np.stack(list(bends_rad(retarget(raw, calibration)[1:]).values()), axis=-1)
+                repeats = duplicate_takes([*bends, (take.name, own)])
+                if take.name in repeats:
+                    report.drop(take.name, f"the same recording as {repeats[take.name]}")
+                    continue
+                bends.append((take.name, own))
+            pieces += pieces_of(take, raw, calibration, report)
+            done += 1
+            progress(f"retarget {key}", 0.6 * done / total)
+    return pieces
+
+
+def heldout_takes(pieces: Sequence[Piece]) -> set[str]:
+    """About a tenth of the takes of each behaviour, by the hash of their names; at least one of four or more."""
+    frames: dict[str, dict[str, int]] = defaultdict(lambda: defaultdict(int))
+    for piece in pieces:
+        frames[piece.take][piece.label.behaviour] += len(piece.positions)
+    by_behaviour: dict[str, list[str]] = defaultdict(list)
+    for take, shares in frames.items():
+        by_behaviour[max(shares, key=lambda b: shares[b])].append(take)
+    out: set[str] = set()
+    for names in by_behaviour.values():
+        names.sort(key=lambda n: hashlib.sha256(n.encode()).hexdigest())
+        count = max(round(HELDOUT_SHARE * len(names)), 1 if len(names) >= 4 else 0)
+        out.update(names[:count])
+    return out
+
+
+def with_split(pieces: Sequence[Piece], heldout: set[str]) -> list[Piece]:
+    """Pieces marked; whatever touches a held-out take is held out."""
+    return [replace(p, split="heldout" if heldout & set(p.take.split("+")) else "train") for p in pieces]
+
+
+def weights(pieces: Sequence[Piece]) -> list[float]:
+    """Weight of each piece: its behaviour's share times its part of the behaviour's frames; zero if held out."""
+    total: dict[str, int] = defaultdict(int)
+    for p in pieces:
+        if p.split == "train":
+            total[p.label.behaviour] += len(p.positions)
+    norm = sum(BEHAVIOUR_SHARES[b] for b in total)
+    return [
+        BEHAVIOUR_SHARES[p.label.behaviour] / norm * len(p.positions) / total[p.label.behaviour]
+        if p.split == "train"
+        else 0.0
+        for p in pieces
+    ]
+
+
+def mirrored(piece: Piece) -> Piece:
+    """The piece with left and right exchanged, in its words too."""
+    side = swap_sides(piece.label.side)
+    return replace(
+        piece,
+        name=piece.name + "~mirror",
+        label=replace(piece.label, side=side),
+        texts=tuple(clean(swap_sides(t) for t in piece.texts)),
+        positions=origin_start(mirror(piece.positions)),
+    )
+
+
+def _minutes(pieces: Sequence[Piece], key: Callable[[Piece], str]) -> dict[str, dict[str, float]]:
+    out: dict[str, dict[str, float]] = defaultdict(lambda: {"train": 0.0, "heldout": 0.0, "made": 0.0})
+    for p in pieces:
+        minutes = len(p.positions) / FPS / 60
+        out[key(p)][p.split] += minutes
+        if p.made:
+            out[key(p)]["made"] += minutes
+    return {k: {n: round(m, 3) for n, m in v.items()} for k, v in sorted(out.items())}
+
+
+def quality_summary(pieces: Sequence[Piece]) -> dict[str, Any]:
+    """Mean quality figures of recorded and of made pieces, and the change of rotations per tick."""
+    out: dict[str, Any] = {}
+    for name, made in (("recorded", False), ("made", True)):
+        values = [p.quality.as_dict() for p in pieces if p.made == made and p.quality is not None]
+        if values:
+            out[name] = {k: round(float(np.mean([v[k] for v in values])), 4) for k in values[0]}
+            out[name]["bone_error_mm"] = round(max(v["bone_error_mm"] for v in values), 6)
+    if pieces:
+        steps = np.concatenate([rotation_steps_rad(local_rotations(p.positions)).max(axis=1) for p in pieces])
+        moves = np.concatenate(
+            [np.linalg.norm(np.diff(p.positions, axis=0), axis=-1).max(axis=1) for p in pieces]
+        )
+        for key, x in (("rotation_step_rad", steps), ("position_step_m", moves)):
+            out[key] = {f"p{q}": round(float(np.percentile(x, q)), 4) for q in (50, 95, 99, 99.9, 100)}
+    return out
+
+
+def build(
+    mocap_dir: str | Path,
+    out_dir: str | Path,
+    seed: int = 0,
+    progress: Progress = quiet,
+    command: str = "",
+) -> dict[str, Any]:
+    """Build the corpus.
+
+    Args:
+        mocap_dir: folder with one folder per source, or with their .tar.xz archives.
+        out_dir: corpus folder, replaced as a whole.
+        seed: of everything random in made motion; the split does not depend on it.
+        progress: told what is being done.
+        command: command line for the manifest.
+
+    Returns:
+        The manifest.
+
+    Raises:
+        InvalidInputError: no recordings there.
+    """
+    from shared.data.make import made_pieces  # the makers build on this module's helpers
+
+    report = Report()
+    with ExitStack() as stack:
+        folder = unpacked(Path(mocap_dir), stack)
+        progress("hash", 0.0)
+        digest = hash_inputs(folder)
+        pieces = recorded_pieces(list_takes(folder), report, progress)
+    pieces = with_split(pieces, heldout_takes(pieces))
+    pieces += made_pieces(pieces, np.random.default_rng(seed), report, progress)
+    clips: list[tuple[Piece, bool]] = [(p, False) for p in pieces]
+    clips += [(mirrored(p), True) for p in pieces if p.split == "train"]
+    share = weights([p for p, _ in clips])
+    progress("quality", 0.95)
+    manifest: dict[str, Any] = {
+        "format": FORMAT,
+        "command": command or f"shared.data.build.build({str(mocap_dir)!r}, {str(out_dir)!r}, seed={seed})",
+        "seed": seed,
+        "fps": FPS,
+        "skeleton": "human22",
+        "input_sha256": digest,
+        "clips": len(clips),
+        "minutes": round(sum(len(p.positions) for p, _ in clips) / FPS / 60, 2),
+        "minutes_unmirrored": round(sum(len(p.positions) for p in pieces) / FPS / 60, 2),
+        "minutes_by_behaviour_unmirrored": _minutes(pieces, lambda p: p.label.behaviour),
+        "minutes_by_source_unmirrored": _minutes(pieces, lambda p: p.source),
+        "quality": quality_summary(pieces),
+        "heldout_takes": sorted({p.take for p in pieces if p.split == "heldout" and not p.made}),
+        "left_out": report.left_out,
+    }
+    infos = [
+        ClipInfo(p.name, p.take, p.source, p.label.behaviour, p.label.action, p.texts, p.split, p.made, m, 0, 0, w)
+        for (p, m), w in zip(clips, share, strict=True)
+    ]
+    write_corpus(out_dir, [(i, p.positions) for i, (p, _) in zip(infos, clips, strict=True)], manifest)
+    progress("done", 1.0)
+    return manifest

@@ -1,0 +1,191 @@
+"""From a recorded take to labelled, grounded pieces of motion of usable length."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from shared.data.body import Array, J, origin_start, runs, velocity
+from shared.data.grounding import Quality, ground
+from shared.data.label import (
+    Label,
+    airborne,
+    chunks,
+    jump_label,
+    locomotion_label,
+    rotation_steps_rad,
+    segment_locomotion,
+    side_of,
+    turned_rad,
+)
+from shared.data.retarget import Calibration, retarget
+from shared.data.sources import Take
+from shared.data.splice import extend_cycle, local_rotations, settle, settle_before
+from shared.data.texts import clean, sentences
+from shared.motion.io.raw import RawMotion
+
+FPS = 30.0
+SHORTEST = 100
+"""Frames of the shortest clip: a planner window of 60 frames at 20 fps takes 90 frames at 30 fps, and some margin."""
+
+LONGEST_S = 8.0
+MAX_SPEED_MPS = 15.0
+MAX_ACCELERATION_MPS2 = 420.0
+MAX_ROTATION_STEP_RAD = 1.6
+_MAX_PENETRATION_MM = 30.0
+_MAX_HEIGHT_SPREAD_M = 0.3
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A labelled piece of motion: joint positions (T, 22, 3) at 30 fps, on the floor."""
+
+    name: str
+    take: str
+    source: str
+    label: Label
+    texts: tuple[str, ...]
+    positions: Array
+    made: bool = False
+    quality: Quality | None = None
+    split: str = "train"
+
+
+@dataclass
+class Report:
+    """What was left out, and why."""
+
+    left_out: list[dict[str, str]] = field(default_factory=list)
+
+    def drop(self, name: str, reason: str) -> None:
+        self.left_out.append({"clip": name, "reason": reason})
+
+
+def glitch_free(p: Array, shortest: int = 45) -> list[tuple[int, int]]:
+    """Pieces between frames at which a joint jumps faster than a body can: broken frames are cut out."""
+    step = np.linalg.norm(np.diff(p, axis=0), axis=-1).max(axis=1) * FPS
+    jerk = np.zeros(len(p))
+    jerk[1:-1] = np.linalg.norm(p[2:] - 2 * p[1:-1] + p[:-2], axis=-1).max(axis=1) * FPS**2
+    bad = np.zeros(len(p), dtype=bool)
+    bad[1:] |= step > MAX_SPEED_MPS
+    bad[:-1] |= step > MAX_SPEED_MPS
+    bad |= jerk > MAX_ACCELERATION_MPS2
+    return [(a, b) for a, b in runs(~bad) if b - a >= min(shortest, len(p))]
+
+
+def lengthen(p: Array, label: Label) -> Array:
+    """At least SHORTEST frames: cycles repeat, other motion begins and ends in a stand (or at rest where it is low)."""
+    missing = SHORTEST - len(p)
+    if missing <= 0:
+        return p
+    if label.behaviour in ("walk", "run", "sneak") and label.action not in ("walk_stop", "walk_start_stop", "steps"):
+        longer = extend_cycle(p, SHORTEST)
+        if longer is not None:
+            return longer
+    low_start, low_end = (p[i, J["pelvis"], 2] < 0.7 for i in (0, -1))
+    before = max(missing // 3, 15)
+    after = max(missing - before, 20)
+    p = settle(p, after, p[-1] if low_end else None)
+    return settle_before(p, before, p[0] if low_start else None)
+
+
+def _labelled(take: Take, p: Array) -> list[tuple[int, int, Label]]:
+    """Pieces of a take and their labels."""
+    shortest = int(2 * FPS)
+    if take.action == "auto" and take.behaviour in ("walk", "run"):
+        return [(a, b, locomotion_label(p[a:b])) for a, b in segment_locomotion(p, FPS, longest_s=LONGEST_S)]
+    cut = chunks(0, len(p), int(LONGEST_S * FPS), shortest)
+    out = []
+    for a, b in cut:
+        piece = p[a:b]
+        if take.behaviour == "jump" and take.action == "auto":
+            label = jump_label(piece) if airborne(piece).any() else locomotion_label(piece)
+        else:
+            side = take.side
+            if side == "auto":
+                side = jump_label(piece).side or side_of(turned_rad(piece))
+            label = Label(take.behaviour, take.action, side)
+            if take.behaviour == "sneak" or take.action == "zombie":
+                # A sneaking take also stands and turns; only what moves is sneaking.
+                seen = locomotion_label(piece)
+                label = seen if seen.behaviour in ("stand", "turn") else label
+            elif take.action == "walk_start_stop":
+                label = locomotion_label(piece)
+        out.append((a, b, label))
+    return out
+
+
+def reason_to_leave_out(p: Array, quality: Quality) -> str:
+    """Why a finished clip is not fit for training, or ''."""
+    if quality.max_joint_speed_mps > MAX_SPEED_MPS:
+        return f"a joint moves at {quality.max_joint_speed_mps:.1f} m/s"
+    if quality.max_penetration_mm > _MAX_PENETRATION_MM:
+        return f"sinks {quality.max_penetration_mm:.0f} mm into the floor"
+    if quality.height_spread_m > _MAX_HEIGHT_SPREAD_M:
+        return f"the floor cannot be fixed: heights differ by {quality.height_spread_m:.2f} m"
+    step = float(rotation_steps_rad(local_rotations(p)).max())
+    if step > MAX_ROTATION_STEP_RAD:
+        return f"a joint turns {step:.2f} rad in one tick"
+    fastest = float(np.linalg.norm(velocity(velocity(p, FPS), FPS), axis=-1).max())
+    if fastest > MAX_ACCELERATION_MPS2:
+        return f"a joint accelerates at {fastest:.0f} m/s2"
+    return ""
+
+
+def pieces_of(take: Take, raw: RawMotion, calibration: Calibration, report: Report) -> list[Piece]:
+    """Labelled pieces of one take."""
+    p = retarget(raw, calibration)
+    if len(p) > 2 and np.linalg.norm(p[1] - p[0], axis=-1).max() > 0.25:
+        p = p[1:]  # the file's first frame is its zero pose
+    whole = glitch_free(p)
+    if not whole:
+        report.drop(take.name, "broken frames throughout")
+        return []
+    out: list[Piece] = []
+    for k, (first, last) in enumerate(whole):
+        grounded, _ = ground(p[first:last])
+        for a, b, label in _labelled(take, grounded):
+            name = take.name + (f"#{k}" if len(whole) > 1 else "") + (f"@{a}" if b - a < last - first else "")
+            longer = lengthen(grounded[a:b], label)
+            final, quality = ground(longer)
+            reason = reason_to_leave_out(final, quality)
+            if reason:
+                report.drop(name, reason)
+                continue
+            own = take.texts if b - a > 0.6 * len(p) else ()
+            texts = clean([*own, *sentences(label.action, label.side)])
+            out.append(
+                Piece(name, take.name, take.source, label, tuple(texts), origin_start(final), False, quality)
+            )
+    return out
+
+
+def duplicate_takes(features: Sequence[tuple[str, Array]]) -> dict[str, str]:
+    """Takes that are the same recording as an earlier one, by their joint bends. features: (name, (T, 4) radians).
+
+    Returns:
+        name -> name of the take it repeats. Two takes are one recording when the middle 40 frames of the shorter
+        are found in the other with a mean difference below 3 degrees.
+    """
+    kept: list[tuple[str, Array]] = []
+    out: dict[str, str] = {}
+    for name, f in features:
+        match = ""
+        for other, g in kept:
+            short, long = (f, g) if len(f) <= len(g) else (g, f)
+            n = min(40, len(short))
+            mid = short[(len(short) - n) // 2 :][:n]
+            if len(long) < n:
+                continue
+            windows = np.lib.stride_tricks.sliding_window_view(long, n, axis=0)  # (W, 4, n)
+            error = np.abs(windows - mid.T[None]).mean(axis=(1, 2))
+            if float(error.min()) < np.radians(3.0) and float(np.ptp(mid, axis=0).max()) > np.radians(20):
+                match = other
+                break
+        if match:
+            out[name] = match
+        else:
+            kept.append((name, f))
+    return out

@@ -1,0 +1,1 @@
+"""Skeletons, clips, rotations, kinematics, features, resampling and motion metrics (numpy only)."""

@@ -1,0 +1,1 @@
+"""Messages, their wire form and the ZeroMQ transport."""

@@ -1,0 +1,129 @@
+"""Who may connect: loopback by default, CURVE keys for anything else (DESIGN 10)."""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import zmq
+import zmq.auth
+import zmq.utils.z85
+from zmq.auth.thread import ThreadAuthenticator
+
+from shared.errors import InvalidInputError
+
+
+@dataclass(frozen=True)
+class CurveKeys:
+    """Keys of one side, Z85 text. A server lists the public keys of its clients, a client knows the server's.
+
+    Attributes:
+        public, secret: own pair.
+        peers: server: clients let in; client: one entry, the server's public key.
+    """
+
+    public: str
+    secret: str
+    peers: tuple[str, ...]
+
+
+def load_curve_keys(folder: Path, side: str) -> CurveKeys:
+    """Keys of `side` ("server" or "client") from a folder made by `create_curve_keys`."""
+    other = {"server": "client", "client": "server"}[side]
+    try:
+        public, secret = zmq.auth.load_certificate(folder / f"{side}.key_secret")
+        peer, _ = zmq.auth.load_certificate(folder / f"{other}.key")
+    except (OSError, ValueError) as error:
+        raise InvalidInputError(
+            f"no CURVE keys for the {side} in {folder}: {error}",
+            field="curve_dir",
+            allowed="a folder made by `python -m shared.protocol.keys FOLDER`",
+        ) from error
+    if secret is None:
+        raise InvalidInputError(f"{folder}/{side}.key_secret holds no secret key", field="curve_dir")
+    return CurveKeys(public.decode(), secret.decode(), (peer.decode(),))
+
+
+def create_curve_keys(folder: Path) -> None:
+    """Write one server pair and one client pair (server.key, server.key_secret, client.key, client.key_secret)."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for side in ("server", "client"):
+        _, secret = zmq.auth.create_certificates(folder, side)
+        Path(secret).chmod(0o600)
+
+
+def is_local(endpoint: str) -> bool:
+    """Whether only this machine can reach the endpoint."""
+    scheme, _, rest = endpoint.partition("://")
+    if scheme in ("inproc", "ipc"):
+        return True
+    host = rest.rsplit(":", 1)[0].strip("[]")
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def check_bind(endpoint: str, curve: CurveKeys | None) -> None:
+    """Refuse to listen beyond this machine without CURVE keys."""
+    scheme = endpoint.partition("://")[0]
+    if scheme not in ("tcp", "ipc", "inproc"):
+        raise InvalidInputError(
+            f"cannot listen on {endpoint!r}", field="endpoint", allowed="tcp://HOST:PORT, ipc://PATH, inproc://NAME"
+        )
+    if curve is None and not is_local(endpoint):
+        raise InvalidInputError(
+            f"{endpoint} can be reached from other machines, and no CURVE keys are set",
+            field="endpoint",
+            allowed="a loopback address, ipc or inproc; or set MOTIONLOOP_CURVE_DIR to a folder of keys",
+        )
+
+
+def wildcard_port(endpoint: str) -> str:
+    """ZeroMQ's spelling of a free port: tcp://HOST:0 becomes tcp://HOST:*."""
+    return endpoint[:-1] + "*" if endpoint.startswith("tcp://") and endpoint.endswith(":0") else endpoint
+
+
+def bound_endpoint(socket: zmq.Socket[Any]) -> str:
+    """Where a bound socket really listens."""
+    name = socket.getsockopt(zmq.LAST_ENDPOINT)
+    return name.decode().rstrip("\0") if isinstance(name, bytes) else str(name)
+
+
+def secure_server(socket: zmq.Socket[Any], curve: CurveKeys | None) -> None:
+    """Make a socket that is about to bind a CURVE server."""
+    if curve is not None:
+        socket.curve_publickey, socket.curve_secretkey = curve.public.encode(), curve.secret.encode()
+        socket.curve_server = True
+        socket.zap_domain = b"motionloop"
+
+
+def secure_client(socket: zmq.Socket[Any], curve: CurveKeys | None) -> None:
+    """Make a socket that is about to connect a CURVE client."""
+    if curve is not None:
+        socket.curve_publickey, socket.curve_secretkey = curve.public.encode(), curve.secret.encode()
+        socket.curve_serverkey = curve.peers[0].encode()
+
+
+class _AllowList:
+    """ZAP credentials: the listed client keys."""
+
+    def __init__(self, keys: Sequence[str]):
+        self._keys = frozenset(key.encode() for key in keys)
+
+    def callback(self, domain: str, key: bytes) -> bool:
+        """Whether the Z85 key may connect (called by pyzmq's authenticator)."""
+        return zmq.utils.z85.encode(key) in self._keys if len(key) == 32 else key in self._keys
+
+
+def start_authenticator(context: zmq.Context[Any], curve: CurveKeys) -> ThreadAuthenticator:
+    """The ZAP handler that lets in only the listed keys; one a context; stop it before ending the context."""
+    authenticator = ThreadAuthenticator(context)
+    authenticator.start()
+    authenticator.configure_curve_callback(domain="motionloop", credentials_provider=_AllowList(curve.peers))
+    return authenticator

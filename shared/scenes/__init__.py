@@ -1,0 +1,1 @@
+"""Scenes as YAML data: bodies, poses, masses and marks."""

@@ -1,0 +1,195 @@
+"""The built-in tasks `reach`, `halt` and `text`."""
+
+from __future__ import annotations
+
+from math import atan2, cos, pi, sin
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.errors import ConflictError
+from shared.protocol.messages import TICK_HZ, HeadingTarget, JointTarget
+from shared.tasks import rules
+from shared.tasks.interface import BodyView, PlanGoal, Status, Trace, Verdict
+from shared.tasks.obey import obeyed
+from shared.tasks.specs import HaltSpec, ReachSpec, ReachTuning, TextSpec
+
+Array = npt.NDArray[np.float64]
+
+STAND_TEXT = "a person is standing still."
+TRAJ = "traj"
+
+
+def stepped_target(from_xy_m: Array, goal_xy_m: Array, most_m: float) -> Array:
+    """(2,) the goal, or the point `most_m` toward it where it is farther (REFERENCE 3)."""
+    away = goal_xy_m - from_xy_m
+    distance = float(np.linalg.norm(away))
+    return goal_xy_m if distance <= most_m else from_xy_m + away * (most_m / distance)
+
+
+class ReachTask:
+    """Walk (run, sneak, ...) until the pelvis is over a point on the floor, and stop there."""
+
+    kind = "reach"
+
+    def __init__(self, spec: ReachSpec, seed: int):
+        self._spec = spec
+        self._tuning: ReachTuning = spec.tuning
+        self._rng = np.random.default_rng(seed)
+        self._goal: Array | None = None
+        self._arrival_tick: int | None = None
+        self._near = False
+
+    @property
+    def label(self) -> str:
+        """E.g. `reach (1.2, -0.5)`."""
+        where = "a random point" if self._goal is None else f"({self._goal[0]:.2f}, {self._goal[1]:.2f})"
+        return f"reach {where}"
+
+    @property
+    def time_limit_s(self) -> float:
+        """From the spec."""
+        return self._spec.time_limit_s
+
+    @property
+    def goal_xy_m(self) -> Array:
+        """(2,) the point; raises ConflictError before `start` has fixed it."""
+        if self._goal is None:
+            raise ConflictError("the task was not started, its goal is not known yet")
+        return self._goal
+
+    def start(self, view: BodyView) -> None:
+        """Fix the goal: the given point, one relative to the body, or a random one 1-3 m away in any direction."""
+        spec = self._spec
+        if spec.position_m is not None:
+            self._goal = np.array(spec.position_m[:2])
+        else:
+            if spec.relative_m is not None:
+                ahead, left = spec.relative_m
+                distance, bearing = float(np.hypot(ahead, left)), atan2(left, ahead)
+            else:
+                distance, bearing = self._rng.uniform(*spec.random_distance_m), self._rng.uniform(-pi, pi)
+            angle = view.heading_rad + bearing
+            self._goal = view.pelvis_xy_m + distance * np.array([cos(angle), sin(angle)])
+        self._arrival_tick, self._near = None, False
+
+    def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
+        """Target at most `step_m` ahead, reached at a natural speed; standing text once it is close.
+
+        The arrival tick of the last step is fixed when the goal comes within one step, and counts down from then on.
+        """
+        tuning, goal = self._tuning, self.goal_xy_m
+        away = goal - view.pelvis_xy_m
+        distance = float(np.linalg.norm(away))
+        self._near = distance < (tuning.leave_m if self._near else tuning.near_m)
+        point = stepped_target(view.pelvis_xy_m, goal, tuning.step_m)
+        seconds = float(np.linalg.norm(point - view.pelvis_xy_m)) / tuning.speed_mps
+        arrival = plan_tick + round(min(max(seconds, tuning.least_arrival_s), 2.0) * TICK_HZ)
+        if distance > tuning.step_m:
+            self._arrival_tick = None
+        else:
+            if self._arrival_tick is None or self._arrival_tick < plan_tick + tuning.least_arrival_s * TICK_HZ:
+                self._arrival_tick = arrival
+            arrival = self._arrival_tick
+        target = JointTarget(joint=TRAJ, position_w_m=(float(point[0]), float(point[1]), 0.0), arrival_tick=arrival)
+        if self._near:
+            return PlanGoal(text=STAND_TEXT, targets=(target,), guidance=self._spec.guidance)
+        heading = None
+        if distance > tuning.heading_from_m:
+            heading = HeadingTarget(heading_rad=atan2(away[1], away[0]), arrival_tick=arrival)
+        return PlanGoal(text=self._spec.text, targets=(target,), heading=heading, guidance=self._spec.guidance)
+
+    def status(self, trace: Trace) -> Status:
+        """Done when the goal was held for half a second."""
+        return "done" if self._outcome(trace).met_tick is not None else "running"
+
+    def judge(self, trace: Trace) -> Verdict:
+        """Rules of `shared.tasks.rules.reach`."""
+        out = self._outcome(trace)
+        end = float(np.linalg.norm(trace.pos_w_m[-1, 0, :2] - self.goal_xy_m))
+        seconds = trace.duration_s if out.met_tick is None else out.met_tick / TICK_HZ
+        measures = {"goal_x_m": float(self.goal_xy_m[0]), "goal_y_m": float(self.goal_xy_m[1]), "end_distance_m": end}
+        return Verdict(out.strict, out.paper, out.code, bool(trace.fallen.any()), seconds, measures)
+
+    def _outcome(self, trace: Trace) -> rules.ReachOutcome:
+        return rules.reach(trace.pos_w_m[:, 0, :2], trace.fallen, self.goal_xy_m)
+
+
+class HaltTask:
+    """Come to a stand and stay there. Strict: at most 0.2 m of drift for the last `duration_s`, and no fall."""
+
+    kind = "halt"
+
+    def __init__(self, spec: HaltSpec):
+        self._spec = spec
+        self._spot: Array | None = None
+
+    @property
+    def label(self) -> str:
+        """`stand still`."""
+        return "stand still"
+
+    @property
+    def time_limit_s(self) -> float:
+        """The time allowed for stopping, the standing time and a margin of a second."""
+        return self._spec.settle_s + self._spec.duration_s + 1.0
+
+    def start(self, view: BodyView) -> None:
+        """Nothing to fix."""
+
+    def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
+        """Standing, without a target: the body stops where it can."""
+        return PlanGoal(text=self._spec.text, guidance=self._spec.guidance)
+
+    def status(self, trace: Trace) -> Status:
+        """Done after the stopping and the standing time."""
+        return "done" if trace.duration_s >= self._spec.settle_s + self._spec.duration_s else "running"
+
+    def judge(self, trace: Trace) -> Verdict:
+        """The release counts a halt as done at once (`code`); here the drift after the stopping time decides."""
+        begin = round(self._spec.settle_s * TICK_HZ)
+        xy = trace.pos_w_m[:, 0, :2]
+        drift = rules.drift_m(xy[begin:]) if len(xy) > begin else float("inf")
+        fell = bool(trace.fallen.any())
+        still = drift < self._spec.drift_m and trace.duration_s >= self._spec.settle_s + self._spec.duration_s
+        measures = {"drift_m": drift} if np.isfinite(drift) else {}
+        return Verdict(still and not fell, not fell, True, fell, trace.duration_s, measures)
+
+
+class TextTask:
+    """Do what a sentence says for a while. Strict: the motion shows it (DESIGN 7), and no fall until 1 s after."""
+
+    kind = "text"
+
+    def __init__(self, spec: TextSpec):
+        self._spec = spec
+
+    @property
+    def label(self) -> str:
+        """The sentence."""
+        return self._spec.text
+
+    @property
+    def time_limit_s(self) -> float:
+        """Its duration and a margin of a second."""
+        return self._spec.duration_s + 1.0
+
+    def start(self, view: BodyView) -> None:
+        """Nothing to fix."""
+
+    def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
+        """The sentence alone."""
+        return PlanGoal(text=self._spec.text, guidance=self._spec.guidance)
+
+    def status(self, trace: Trace) -> Status:
+        """Done when its time is over."""
+        return "done" if trace.duration_s >= self._spec.duration_s else "running"
+
+    def judge(self, trace: Trace) -> Verdict:
+        """Obeyed within its duration; the settling time afterwards only counts for falls."""
+        ticks = round(self._spec.duration_s * TICK_HZ)
+        within = Trace(trace.start_tick, trace.pos_w_m[:ticks], trace.fallen[:ticks])
+        outcome = obeyed(self._spec.text, within)
+        fell = bool(trace.fallen.any())
+        ok = outcome.obeyed and len(within) >= ticks
+        return Verdict(ok and not fell, ok, ok, fell, within.duration_s, outcome.measures)

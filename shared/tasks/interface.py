@@ -1,0 +1,139 @@
+"""What a task is: it looks at the character, says what the planner should be asked for, and when it is over.
+
+A task is told how the body is (`BodyView`) and answers with a `PlanGoal`; afterwards it judges the recorded `Trace`.
+It never talks to a service, so the same task runs in episodes, in evaluation and in a user's own script.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.motion.skeleton import CANONICAL
+from shared.protocol.messages import TICK_HZ, HeadingTarget, JointTarget
+
+Array = npt.NDArray[np.float64]
+Status = Literal["running", "done", "failed"]
+
+_LEFT_HIP, _RIGHT_HIP, _PELVIS = (CANONICAL.index(name) for name in ("left_hip", "right_hip", "pelvis"))
+
+
+def heading_from_positions(pos_w_m: npt.ArrayLike) -> Array:
+    """Heading (...) in radians, 0 along +X, of bodies (..., 22, 3): the horizontal normal of the hip axis."""
+    p = np.asarray(pos_w_m, dtype=np.float64)
+    left = p[..., _LEFT_HIP, :] - p[..., _RIGHT_HIP, :]
+    return np.asarray(np.arctan2(-left[..., 0], left[..., 1]))
+
+
+@dataclass(frozen=True)
+class BodyView:
+    """The character at a tick: (22, 3) joint positions in the world, and whether it has fallen."""
+
+    tick: int
+    pos_w_m: Array
+    fallen: bool = False
+
+    @property
+    def pelvis_xy_m(self) -> Array:
+        """(2,) where the pelvis is over the floor."""
+        return self.pos_w_m[_PELVIS, :2]
+
+    @property
+    def heading_rad(self) -> float:
+        """Direction the hips face."""
+        return float(heading_from_positions(self.pos_w_m))
+
+
+@dataclass(frozen=True)
+class PlanGoal:
+    """What the planner is asked for. Every part is optional; `guidance` None is the planner's own default."""
+
+    text: str | None = None
+    targets: tuple[JointTarget, ...] = ()
+    heading: HeadingTarget | None = None
+    desired_velocity_w_mps: tuple[float, float] | None = None
+    keyframe_ticks: tuple[int, ...] = ()
+    keyframe_joints: tuple[tuple[str, ...], ...] = ()
+    keyframe_positions_w_m: tuple[tuple[tuple[float, float, float], ...], ...] = ()
+    guidance: float | None = None
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What happened at every control tick from `start_tick` on: T ticks at 30 Hz.
+
+    Attributes:
+        pos_w_m: (T, 22, 3) joint positions.
+        fallen: (T,) bool.
+    """
+
+    start_tick: int
+    pos_w_m: Array
+    fallen: npt.NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.pos_w_m)
+
+    def view(self, i: int) -> BodyView:
+        """Row i as a BodyView."""
+        return BodyView(self.start_tick + i, self.pos_w_m[i], bool(self.fallen[i]))
+
+    @property
+    def duration_s(self) -> float:
+        """Time covered, T / 30."""
+        return len(self) / TICK_HZ
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Success by the three rules (DESIGN 7), when strict success was reached, and what was measured.
+
+    Attributes:
+        seconds: from the start of the task until its strict goal was met, or its whole duration.
+        measures: named numbers, SI units in the names.
+    """
+
+    strict: bool
+    paper: bool
+    code: bool
+    fell: bool
+    seconds: float
+    measures: dict[str, float]
+
+
+class Task(Protocol):
+    """One thing to do. `start` is called once, then `goal` at every plan and `status` with every new stretch."""
+
+    @property
+    def kind(self) -> str:
+        """Name of the task type."""
+        ...
+
+    @property
+    def label(self) -> str:
+        """Short text for people."""
+        ...
+
+    @property
+    def time_limit_s(self) -> float:
+        """After this it has failed."""
+        ...
+
+    def start(self, view: BodyView) -> None:
+        """Fix whatever depends on where the character is."""
+        ...
+
+    def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
+        """What to ask the planner for in a plan that starts at `plan_tick`."""
+        ...
+
+    def status(self, trace: Trace) -> Status:
+        """Whether the task is over, given everything since its start."""
+        ...
+
+    def judge(self, trace: Trace) -> Verdict:
+        """The verdict over everything from its start to the end of the settling time."""
+        ...

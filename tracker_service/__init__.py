@@ -1,0 +1,1 @@
+"""The tracker service: physics characters that follow planned motion."""

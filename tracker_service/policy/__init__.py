@@ -1,0 +1,1 @@
+"""Trackers: what turns state and reference into servo targets (numpy only)."""

@@ -1,0 +1,1 @@
+"""The humanoid, the scene, the physics character and its log (MuJoCo)."""

@@ -1,0 +1,92 @@
+"""What a character is made of: proportions, masses, servos. A registry by name; `human` now."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from shared.errors import InvalidInputError
+from shared.motion.skeleton import CANONICAL, Skeleton, skeleton
+
+
+class ServoSpec(BaseModel):
+    """Position servo of the hinges of one kind of joint.
+
+    Attributes:
+        stiffness: N m / rad. damping: N m s / rad. effort_nm: the most torque it gives.
+    """
+
+    model_config = ConfigDict(frozen=True)
+    stiffness: float = Field(gt=0)
+    damping: float = Field(gt=0)
+    effort_nm: float = Field(gt=0)
+
+
+class Character(BaseModel):
+    """Description of a character the humanoid is built from.
+
+    Attributes:
+        name: in the registry.
+        skeleton_id: see shared.motion.skeleton.
+        mass_kg: of the whole body.
+        mass_fractions: share of each body; a sided name (`hip`) counts for left and right each.
+        servos: by joint kind, the name without side and number.
+        armature: rotor inertia added to each hinge, kg m^2.
+        sole_friction: sliding friction of the body against the world.
+    """
+
+    model_config = ConfigDict(frozen=True)
+    name: str
+    skeleton_id: str
+    mass_kg: float = Field(gt=0)
+    mass_fractions: dict[str, float]
+    servos: dict[str, ServoSpec]
+    armature: float = Field(ge=0)
+    sole_friction: float = Field(gt=0)
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The skeleton by its id."""
+        return skeleton(self.skeleton_id)
+
+    def body_mass_kg(self, joint: str) -> float:
+        """Mass of the body of one joint."""
+        return self.mass_kg * self.mass_fractions[joint.removeprefix("left_").removeprefix("right_")]
+
+    def servo(self, joint: str) -> ServoSpec:
+        """Servo of one joint's hinges."""
+        return self.servos[joint.removeprefix("left_").removeprefix("right_").rstrip("0123456789")]
+
+
+# Segment masses of men after de Leva (1996), table 4; the trunk's thirds spread over pelvis, spine and collars.
+_MASS_FRACTIONS = {
+    "pelvis": 0.1117, "spine1": 0.0817, "spine2": 0.0816, "spine3": 0.1196, "collar": 0.02,
+    "neck": 0.012, "head": 0.0574, "hip": 0.1416, "knee": 0.0433, "ankle": 0.0117, "foot": 0.0020,
+    "shoulder": 0.0271, "elbow": 0.0162, "wrist": 0.0061,
+}  # fmt: skip
+
+# Stiffness and damping after the slim PHC of CLoSD (REFERENCE 2); efforts are ours, above what strong people reach.
+_STRONG = ServoSpec(stiffness=800, damping=80, effort_nm=400)
+_TRUNK = ServoSpec(stiffness=1000, damping=100, effort_nm=400)
+_LIGHT = ServoSpec(stiffness=500, damping=50, effort_nm=200)
+
+HUMAN = Character(
+    name="human",
+    skeleton_id=CANONICAL.id,
+    mass_kg=72.0,
+    mass_fractions=_MASS_FRACTIONS,
+    servos={
+        "hip": _STRONG, "knee": _STRONG, "ankle": _STRONG, "spine": _TRUNK,
+        "neck": _LIGHT, "foot": _LIGHT, "collar": _LIGHT, "shoulder": _LIGHT, "elbow": _LIGHT,
+    },
+    armature=0.02,
+    sole_friction=1.0,
+)  # fmt: skip
+
+CHARACTERS = {HUMAN.name: HUMAN}
+
+
+def character(name: str) -> Character:
+    """Character by name; raises InvalidInputError listing the known ones."""
+    if name not in CHARACTERS:
+        raise InvalidInputError(f"unknown character {name!r}", field="character", allowed=", ".join(CHARACTERS))
+    return CHARACTERS[name]

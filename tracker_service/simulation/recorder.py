@@ -1,0 +1,236 @@
+"""The log of one character: every 60 Hz sample of its life, in bounded memory, older parts on disk.
+
+Sample k is the state at exactly k / 60 s. 30 Hz ticks are every second sample and 20 Hz planner frames every third, so
+that reading at any of the three rates picks recorded samples and never interpolates (DESIGN 2).
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.errors import InvalidInputError, MotionLoopError
+
+SAMPLE_HZ = 60
+AnyArray = npt.NDArray[np.generic]
+Samples = dict[str, AnyArray]
+
+
+@dataclass
+class _Chunk:
+    """Consecutive samples first..first+count-1; `arrays` is None once they are on disk."""
+
+    first: int
+    count: int
+    arrays: Samples | None
+    path: Path | None = None
+
+
+class RecordingLostError(MotionLoopError):
+    """A part of the log was spilled to disk and cannot be read back."""
+
+    code = "recording_lost"
+
+
+def sample_stride(rate_hz: int) -> int:
+    """Samples from one reading to the next at `rate_hz`; raises InvalidInputError for a rate that would interpolate."""
+    if rate_hz not in (20, 30, 60):
+        raise InvalidInputError(f"rate_hz is {rate_hz}", field="rate_hz", allowed="20, 30, 60")
+    return SAMPLE_HZ // rate_hz
+
+
+@dataclass
+class Recorder:
+    """Append-only log of named arrays with one row a sample.
+
+    Memory holds at most `memory_chunks` full chunks and the one being filled; the oldest full chunk moves to an .npz
+    file in `spool_dir`. When the disk refuses (full, read-only) the chunk stays in memory and the next append tries
+    again: the loop goes on and nothing is lost.
+
+    Args:
+        spool_dir: folder for the spilled chunks, made on the first spill.
+        chunk_samples: samples a chunk.
+        memory_chunks: full chunks kept in memory.
+        first_sample: index of the first sample to come (a restored character begins later than 0).
+    """
+
+    spool_dir: Path
+    chunk_samples: int = 600
+    memory_chunks: int = 6
+    first_sample: int = 0
+    spill_failures: int = 0
+    _chunks: list[_Chunk] = field(default_factory=list)
+    _open: list[Mapping[str, AnyArray]] = field(default_factory=list)
+    _open_count: int = 0
+    _cached: tuple[int, Samples] | None = None
+
+    @property
+    def next_sample(self) -> int:
+        """Index of the sample that the next append will write first."""
+        sealed = self._chunks[-1].first + self._chunks[-1].count if self._chunks else self.first_sample
+        return sealed + self._open_count
+
+    @property
+    def memory_bytes(self) -> int:
+        """Bytes of samples now in memory."""
+        held = [c.arrays for c in self._chunks if c.arrays is not None] + list(self._open)
+        return sum(a.nbytes for arrays in held for a in arrays.values())
+
+    @property
+    def spilled_chunks(self) -> int:
+        """How many chunks are on disk."""
+        return sum(c.path is not None for c in self._chunks)
+
+    def append(self, samples: Mapping[str, AnyArray]) -> None:
+        """Add N samples: arrays (N, ...) of the same N. The arrays are kept, not copied: do not change them after."""
+        counts = {a.shape[0] for a in samples.values()}
+        if len(counts) != 1:
+            raise InvalidInputError("arrays of unequal length", field="samples", allowed="one length for all")
+        count = counts.pop()
+        if count == 0:
+            return
+        if self._open and not _same_layout(self._open[-1], samples):
+            self._seal()
+        self._open.append(dict(samples))
+        self._open_count += count
+        if self._open_count >= self.chunk_samples:
+            self._seal()
+
+    def read(self, start: int, stop: int, stride: int = 1) -> Samples:
+        """Samples start, start + stride, ... < stop in order, as arrays (N, ...).
+
+        Indices before the first sample read as the first one (a character stood still before it existed). Rows
+        written under another layout (objects of an earlier scene) are cut or zero-padded to the newest layout read.
+
+        Raises:
+            InvalidInputError: nothing recorded yet, or `stop` beyond the last sample.
+            RecordingLostError: a spilled chunk is gone from the disk.
+        """
+        end = self.next_sample
+        if end == self.first_sample:
+            raise InvalidInputError("nothing is recorded yet", field="stop_tick")
+        if stop > end:
+            raise InvalidInputError(
+                f"samples up to {stop - 1} asked for, {end - 1} is the last", field="stop_tick", allowed="<= now"
+            )
+        wanted = np.maximum(np.arange(start, stop, stride), self.first_sample)
+        if wanted.size == 0:
+            newest = self._newest()
+            return {name: array[:0] for name, array in newest.items()}
+        self._fold_open()
+        parts: list[Samples] = []
+        for chunk, arrays in self._overlapping(int(wanted[0]), int(wanted[-1])):
+            rows = wanted[(wanted >= chunk.first) & (wanted < chunk.first + chunk.count)] - chunk.first
+            parts.append({name: array[rows] for name, array in arrays.items()})
+        template = parts[-1]
+        return {name: np.concatenate([_fit(part[name], template[name]) for part in parts]) for name in template}
+
+    def truncate(self, next_sample: int) -> None:
+        """Forget the samples from `next_sample` on (a restore to an earlier tick continues from there)."""
+        if next_sample >= self.next_sample:
+            return
+        self._seal()
+        while self._chunks and self._chunks[-1].first + self._chunks[-1].count > next_sample:
+            chunk = self._chunks.pop()
+            keep = next_sample - chunk.first
+            if keep > 0:
+                arrays = self._load(chunk)
+                self._chunks.append(_Chunk(chunk.first, keep, {n: a[:keep] for n, a in arrays.items()}))
+            _discard(chunk)
+            if keep > 0:
+                break
+        self._cached = None
+        if not self._chunks:
+            self.first_sample = next_sample
+
+    def close(self) -> None:
+        """Delete the spilled files and forget everything."""
+        for chunk in self._chunks:
+            _discard(chunk)
+        self._chunks.clear()
+        self._open.clear()
+        self._open_count = 0
+        self._cached = None
+        with contextlib.suppress(OSError):
+            self.spool_dir.rmdir()
+
+    def _newest(self) -> Mapping[str, AnyArray]:
+        return self._open[-1] if self._open else self._load(self._chunks[-1])
+
+    def _fold_open(self) -> None:
+        if len(self._open) > 1:
+            self._open = [{n: np.concatenate([part[n] for part in self._open]) for n in self._open[0]}]
+
+    def _overlapping(self, first: int, last: int) -> list[tuple[_Chunk, Samples]]:
+        out = [
+            (chunk, self._load(chunk))
+            for chunk in self._chunks
+            if chunk.first <= last and chunk.first + chunk.count > first
+        ]
+        if self._open:
+            tail = _Chunk(self.next_sample - self._open_count, self._open_count, dict(self._open[0]))
+            if tail.first <= last:
+                out.append((tail, tail.arrays or {}))
+        return out
+
+    def _seal(self) -> None:
+        if not self._open:
+            return
+        self._fold_open()
+        self._chunks.append(_Chunk(self.next_sample - self._open_count, self._open_count, dict(self._open[0])))
+        self._open, self._open_count = [], 0
+        in_memory = [c for c in self._chunks if c.arrays is not None]
+        for chunk in in_memory[: max(0, len(in_memory) - self.memory_chunks)]:
+            self._spill(chunk)
+
+    def _spill(self, chunk: _Chunk) -> None:
+        assert chunk.arrays is not None
+        path = self.spool_dir / f"samples_{chunk.first:09d}.npz"
+        try:
+            self.spool_dir.mkdir(parents=True, exist_ok=True)
+            with path.with_suffix(".tmp").open("wb") as out:
+                np.savez(out, **chunk.arrays)  # type: ignore[arg-type]
+            path.with_suffix(".tmp").replace(path)
+        except OSError:
+            self.spill_failures += 1
+            return
+        chunk.path, chunk.arrays = path, None
+
+    def _load(self, chunk: _Chunk) -> Samples:
+        if chunk.arrays is not None:
+            return chunk.arrays
+        if self._cached is not None and self._cached[0] == chunk.first:
+            return self._cached[1]
+        assert chunk.path is not None
+        try:
+            with np.load(chunk.path, allow_pickle=False) as data:
+                arrays: Samples = {name: data[name] for name in data.files}
+        except (OSError, ValueError) as error:
+            raise RecordingLostError(f"recorded samples in {chunk.path} cannot be read: {error}") from error
+        self._cached = (chunk.first, arrays)
+        return arrays
+
+
+def _same_layout(a: Mapping[str, AnyArray], b: Mapping[str, AnyArray]) -> bool:
+    return a.keys() == b.keys() and all(a[n].shape[1:] == b[n].shape[1:] and a[n].dtype == b[n].dtype for n in a)
+
+
+def _fit(rows: AnyArray, template: AnyArray) -> AnyArray:
+    """`rows` (N, ...) cut or zero-padded so that its trailing shape is the template's."""
+    if rows.shape[1:] == template.shape[1:]:
+        return rows
+    out = np.zeros((rows.shape[0], *template.shape[1:]), template.dtype)
+    overlap = tuple(slice(0, min(a, b)) for a, b in zip(rows.shape[1:], template.shape[1:], strict=True))
+    out[(slice(None), *overlap)] = rows[(slice(None), *overlap)]
+    return out
+
+
+def _discard(chunk: _Chunk) -> None:
+    if chunk.path is not None:
+        with contextlib.suppress(OSError):
+            chunk.path.unlink()
