@@ -26,10 +26,10 @@ $(STAMP): pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "no Python found: install Python 3.11 or newer"; exit 1; }
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "$(PYTHON) is older than 3.11: set PYTHON"; exit 1; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@echo "installing torch ..."
-	@$(BIN)/python -m pip install --quiet $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) -c constraints.txt torch
-	@echo "installing motionloop with all its extras ..."
-	@$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[all,dev]'
+	@echo "installing torch (a few minutes) ..."
+	@$(BIN)/python -m pip install -qq $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) -c constraints.txt torch
+	@echo "installing motionloop with all its extras (a few minutes) ..."
+	@$(BIN)/python -m pip install -qq -c constraints.txt -e '.[all,dev]'
 	@$(BIN)/python -c 'import torch; print("torch", torch.__version__, "(CUDA %s)" % torch.version.cuda if torch.version.cuda else "(CPU build)")'
 	@touch $@
 
@@ -40,7 +40,7 @@ serve: setup ## run all three services until Ctrl-C
 	$(BIN)/motionloop serve all $(ARGS)
 
 test: setup ## run the fast test suite
-	$(BIN)/python -m pytest -n $(JOBS) -m "not slow" $(ARGS)
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "not slow" $(ARGS)
 
 check: setup ## ruff, mypy --strict, import-linter
 	$(BIN)/ruff check .
@@ -69,9 +69,10 @@ eval-tracker: setup ## how well recorded clips are tracked; CLIPS names the fold
 	@mkdir -p $(OUT)
 	$(BIN)/motionloop eval tracker --clips $(CLIPS) --seed $(SEED) --json $(OUT)/eval_tracker.json $(ARGS)
 
-eval-planner: setup ## quality of the plans, without physics
+eval-planner: setup ## quality of the plans without physics; CORPUS names the folder of a corpus
+	@test -n "$(CORPUS)" || { echo "set CORPUS to a corpus made by: motionloop data build"; exit 2; }
 	@mkdir -p $(OUT)
-	$(BIN)/motionloop eval planner --seed $(SEED) --json $(OUT)/eval_planner.json $(ARGS)
+	$(BIN)/motionloop eval planner --corpus $(CORPUS) --seed $(SEED) --json $(OUT)/eval_planner.json $(ARGS)
 
 clean: ## remove caches and outputs, keep .venv
 	rm -rf $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

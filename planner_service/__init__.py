@@ -1,0 +1,1 @@
+"""The planner service: what to do next, from what has happened, words and targets."""

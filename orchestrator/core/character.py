@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from dataclasses import asdict
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
@@ -13,7 +14,7 @@ from orchestrator.core.drivers import Cycle, Driver, LockstepDriver, RealtimeDri
 from orchestrator.core.events import EventLog
 from orchestrator.core.fanout import Fanout
 from orchestrator.core.loop import CharacterLoop, view_of
-from orchestrator.core.services import Reply, Services
+from orchestrator.core.services import Services
 from orchestrator.core.settings import LOCKSTEP, REALTIME, LoopSettings
 from shared.errors import ConflictError, InvalidInputError, MotionLoopError, NotFoundError, TransportError
 from shared.motion.skeleton import CANONICAL
@@ -21,14 +22,11 @@ from shared.protocol.messages import (
     CloseCharacter,
     CreateCharacter,
     Impulse,
-    Message,
     Name,
     Ok,
     Pacing,
-    ResetCharacter,
     Seed,
     SetPacing,
-    SetTracker,
     StateFrame,
     Vec3,
 )
@@ -87,7 +85,7 @@ class CharacterSession:
             pacing=self.spec.pacing,
             seed=self.spec.seed,
         )
-        self._state = await self._ask(StateFrame, request)
+        self._state = await self.loop.ask_tracker(StateFrame, request)
         if self.spec.pacing == "lockstep":
             self._driver = LockstepDriver(self.loop, self._state)
         else:
@@ -123,15 +121,14 @@ class CharacterSession:
         self._check_alive()
         if body not in CANONICAL.names:
             raise InvalidInputError(f"unknown body {body!r}", field="body", allowed=", ".join(CANONICAL.names))
-        await self._ask(Ok, Impulse(body=body, impulse_w_ns=impulse_w_ns))
+        await self.loop.ask_tracker(Ok, Impulse(body=body, impulse_w_ns=impulse_w_ns))
         self.events.emit("impulse", self.state.tick, body=body, impulse_ns=list(impulse_w_ns))
 
     async def reset(self) -> StateFrame:
         """Stand it up where it is; the command becomes standing."""
         self._check_alive(even_failed=True)
         async with self._lock:
-            self._state = await self._ask(StateFrame, ResetCharacter())
-            self.loop.forget_plans()
+            self._state = await self.loop.reset()
             self._source = CommandGoal(STAND, self._state.tick)
             if self._driver is not None:
                 self._driver.replan_now()
@@ -143,15 +140,10 @@ class CharacterSession:
         self._check_alive()
         if self.spec.pacing != "realtime":
             raise ConflictError("only a realtime character can be paused", field="pacing", allowed="realtime")
-        self._state = await self._ask(StateFrame, SetPacing(pacing="realtime", paused=paused))
+        self._state = await self.loop.ask_tracker(StateFrame, SetPacing(pacing="realtime", paused=paused))
         self.status = "paused" if paused else "running"
         self.events.emit("paused" if paused else "resumed", self.state.tick)
         return self.state
-
-    async def use_tracker(self, plugin: str) -> None:
-        """Let another tracker plug-in drive it from the next tick on."""
-        await self._ask(Ok, SetTracker(tracker=plugin))
-        self.events.emit("tracker", self.state.tick, plugin=plugin)
 
     async def close(self) -> None:
         """End it, at the tracker too (which may be gone already)."""
@@ -165,14 +157,10 @@ class CharacterSession:
         if self._driver is not None:
             await self._driver.close()
         with contextlib.suppress(MotionLoopError):
-            await self._ask(Ok, CloseCharacter())
+            await self.loop.ask_tracker(Ok, CloseCharacter())
         self.events.emit("closed", self._state.tick if self._state else 0)
         self.events.close()
         self.states.close()
-
-    async def _ask(self, kind: type[Reply], message: Message) -> Reply:
-        timeout_s = self.loop.settings.tracker_timeout_s
-        return await self._services.tracker.ask(kind, message, self.character_id, timeout_s)
 
     def _check_alive(self, even_failed: bool = False) -> None:
         if self.status == "closed" or (self.status == "failed" and not even_failed):
@@ -201,10 +189,7 @@ class CharacterSession:
         self._state = cycle.state
         self.states.publish(cycle.state)
         for plan in cycle.plans:
-            self.events.emit(
-                "plan", cycle.state.tick, start_tick=plan.start_tick, accepted=plan.accepted, total_ms=plan.total_ms,
-                text=plan.text, reason=plan.reason,
-            )  # fmt: skip
+            self.events.emit("plan", cycle.state.tick, **asdict(plan))
         if cycle.state.fallen and not was_fallen:
             self.events.emit("fallen", cycle.state.tick)
         if cycle.state.failure is not None:

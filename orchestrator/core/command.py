@@ -127,7 +127,11 @@ class CommandGoal:
             arrival = max(self._issued_tick + round(HEADING_S * TICK_HZ), plan_tick + TICK_HZ // 2)
             heading = HeadingTarget(heading_rad=command.heading_rad, arrival_tick=arrival)
         frames = [
-            (self._issued_tick + round(frame.in_s * TICK_HZ), tuple(frame.positions_m), tuple(frame.positions_m.values()))
+            (
+                self._issued_tick + round(frame.in_s * TICK_HZ),
+                tuple(frame.positions_m),
+                tuple(frame.positions_m.values()),
+            )
             for frame in command.keyframes
         ]
         frames = [frame for frame in frames if frame[0] > plan_tick]

@@ -19,7 +19,7 @@ def render() -> str:
     lines = [
         "# State machine of an episode",
         "",
-        "Generated from `orchestrator/core/machine.py` by `python -m orchestrator.core.diagram`; a test keeps it current.",
+        "Generated from `orchestrator/core/machine.py` by `python -m orchestrator.core.diagram`.",
         "",
         "```mermaid",
         "stateDiagram-v2",

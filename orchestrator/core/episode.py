@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import asdict, dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
@@ -25,7 +25,7 @@ from orchestrator.core.machine import (
 from orchestrator.core.services import Services
 from orchestrator.core.settings import LOCKSTEP, REALTIME, LoopSettings
 from shared.errors import ConflictError, MotionLoopError, NotFoundError, TransportError
-from shared.protocol.messages import TICK_HZ, CreateCharacter, Name, Pacing, ResetCharacter, Seed, StateFrame
+from shared.protocol.messages import TICK_HZ, CreateCharacter, Name, Pacing, Seed, StateFrame
 from shared.tasks.builtin import STAND_TEXT
 from shared.tasks.factory import make_task
 from shared.tasks.interface import BodyView, PlanGoal, Task, Trace, Verdict
@@ -133,7 +133,7 @@ class EpisodeRunner:
         spec: EpisodeSpec,
         services: Services,
         events: EventLog,
-        on_cycle: Callable[[Cycle], None] | None = None,
+        on_cycle: Callable[[Cycle], Awaitable[None]] | None = None,
     ):
         self.episode_id = episode_id
         self.spec = spec
@@ -194,8 +194,7 @@ class EpisodeRunner:
             seed=spec.seed,
             heading_rad=spec.heading_rad,
         )
-        timeout_s = self.loop.settings.tracker_timeout_s
-        state = await self._services.tracker.ask(StateFrame, request, self.episode_id, timeout_s)
+        state = await self.loop.ask_tracker(StateFrame, request)
         self.created = True
         return state
 
@@ -211,7 +210,7 @@ class EpisodeRunner:
             self._last_report = state.tick
             self._report(state)
         if self._on_cycle is not None:
-            self._on_cycle(cycle)
+            await self._on_cycle(cycle)
         signal = self._signal(cycle)
         if signal is not None:
             await self._fire(signal, state)
@@ -285,7 +284,9 @@ class EpisodeRunner:
         self._next += 1
         task = make_task(self.spec.tasks[index], task_seed(self.spec.seed, index))
         task.start(BodyView(state.tick, np.asarray(state.body_pos_w_m, dtype=np.float64), state.fallen))
-        self._running = _Running(index, task, state.tick, [np.zeros((0, *state.body_pos_w_m.shape))], [np.zeros(0, bool)])
+        self._running = _Running(
+            index, task, state.tick, [np.zeros((0, *state.body_pos_w_m.shape))], [np.zeros(0, bool)]
+        )
         if self._driver is not None:
             self._driver.replan_now()
         self.events.emit("task_begin", state.tick, index=index, task=task.kind, label=task.label)
@@ -327,9 +328,7 @@ class EpisodeRunner:
         return self._reason or str(signal)
 
     async def _reset(self) -> None:
-        timeout_s = self.loop.settings.tracker_timeout_s
-        await self._services.tracker.ask(StateFrame, ResetCharacter(), self.episode_id, timeout_s)
-        self.loop.forget_plans()
+        await self.loop.reset()
         if self._driver is not None:
             self._driver.replan_now()
         self.events.emit("reset", self.tick)

@@ -39,7 +39,7 @@ class EventLog:
         self._seq = 0
         self.closed = False
 
-    def emit(self, type: str, tick: int, **data: Any) -> Event:
+    def emit(self, type: str, tick: int, /, **data: Any) -> Event:
         """Add an event."""
         self._seq += 1
         event = Event(seq=self._seq, type=type, tick=tick, unix_s=time.time(), data=data)

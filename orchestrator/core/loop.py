@@ -2,27 +2,36 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.core.services import Services
+from orchestrator.core.services import Reply, Services, Slot
 from orchestrator.core.settings import LoopSettings
-from orchestrator.core.stitch import PREFIX_FRAMES, PlanBuffer, build_prefix, frame_of_tick, last_frame_by
-from shared.errors import MalformedMessageError
+from orchestrator.core.stitch import PREFIX_FRAMES, PlanBuffer, build_prefix, frame_of_tick, last_frame_by, since
+from shared.errors import MalformedMessageError, MotionLoopError
 from shared.motion.ik import clip_from_positions
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import (
     PLANNER_FPS,
     TICK_HZ,
+    CloseCharacter,
     GetTicks,
+    Message,
     Observe,
+    Ok,
     Plan,
     PlanRequest,
+    ResetCharacter,
+    Restore,
+    SetTracker,
+    Snapshot,
     StateFrame,
     Step,
+    TakeSnapshot,
     TickRange,
     Track,
     TrackReply,
@@ -76,27 +85,37 @@ class CharacterLoop:
         self.settings = settings
         self.planner = planner
         self._services = services
+        self._tracker = services.tracker
+        self._planner_slot = services.planner
+        self._refused: Slot | None = None
         self._seed = seed
         self._buffer = PlanBuffer()
+        self._since_frame = 0
         self.plans_made = 0
         self.last_plan: Plan | None = None
+        self.swap_error: str | None = None
 
-    def forget_plans(self) -> None:
-        """After a reset: the old plan says nothing about the character any more."""
+    async def reset(self) -> StateFrame:
+        """Stand the character up. What was planned and done before says nothing about it any more."""
+        state = await self.ask_tracker(StateFrame, ResetCharacter())
         self._buffer.clear()
         self.last_plan = None
+        self._since_frame = frame_of_tick(-(-state.tick // 3) * 3)
+        return state
+
+    async def ask_tracker(self, kind: type[Reply], message: Message, timeout_s: float | None = None) -> Reply:
+        """The reply of the tracker that the character lives at, by default within the tracker's time-out."""
+        return await self._tracker.ask(
+            kind, message, self.character_id, timeout_s or self.settings.tracker_timeout_s
+        )  # fmt: skip
 
     async def observe(self) -> StateFrame:
         """The present state."""
-        return await self._services.tracker.ask(
-            StateFrame, Observe(), self.character_id, self.settings.tracker_timeout_s
-        )
+        return await self.ask_tracker(StateFrame, Observe())
 
     async def step(self, ticks: int) -> StateFrame:
         """Advance a lockstep character."""
-        return await self._services.tracker.ask(
-            StateFrame, Step(ticks=ticks), self.character_id, self.settings.tracker_timeout_s
-        )
+        return await self.ask_tracker(StateFrame, Step(ticks=ticks))
 
     async def trace(self, start_tick: int, stop_tick: int) -> Trace:
         """The log at 30 Hz, ticks start..stop-1."""
@@ -114,9 +133,7 @@ class CharacterLoop:
         request = GetTicks.model_validate(
             {"start_tick": start_tick, "stop_tick": stop_tick, "rate_hz": rate_hz, "include_reference": reference}
         )
-        return await self._services.tracker.ask(
-            TickRange, request, self.character_id, self.settings.tracker_timeout_s
-        )
+        return await self.ask_tracker(TickRange, request)
 
     async def make_plan(self, goal: PlanGoal, now_tick: int, start_tick: int) -> Plan:
         """Ask the planner for the motion from `start_tick` on; the character is at `now_tick` <= start_tick.
@@ -137,21 +154,42 @@ class CharacterLoop:
 
     async def track(self, plan: Plan) -> TrackReply:
         """Hand a plan to the tracker; an accepted one enters the buffer, the old one ends where it starts."""
-        reply = await self._services.tracker.ask(
-            TrackReply,
-            Track(
-                start_tick=plan.start_tick,
-                skeleton=plan.skeleton,
-                positions_w_m=plan.positions_w_m,
-                rotations_6d=plan.rotations_6d,
-            ),
-            self.character_id,
-            self.settings.tracker_timeout_s,
+        await self._follow_swaps()
+        track = Track(
+            start_tick=plan.start_tick,
+            skeleton=plan.skeleton,
+            positions_w_m=plan.positions_w_m,
+            rotations_6d=plan.rotations_6d,
         )
+        reply = await self.ask_tracker(TrackReply, track)
         if reply.accepted:
             self._buffer.put(frame_of_tick(plan.start_tick) + 1, plan.positions_w_m)
             self.last_plan = plan
         return reply
+
+    async def _follow_swaps(self) -> None:
+        """At a plan boundary: if another tracker was put in the slot, let it drive; move there if it is elsewhere.
+
+        A move that fails leaves the character where it is; the error goes to `swap_error`.
+        """
+        old, new = self._tracker, self._services.tracker
+        if new is old or new is self._refused:
+            return
+        try:
+            if new.endpoint != old.endpoint:
+                state = await self.ask_tracker(Snapshot, TakeSnapshot())
+                restore = Restore(tick=state.tick, meta=state.meta, state=state.state, buffers=state.buffers)
+                await new.ask(StateFrame, restore, self.character_id, self.settings.tracker_timeout_s)
+            await new.ask(
+                Ok, SetTracker(tracker=new.plugin_name), self.character_id, self.settings.tracker_timeout_s
+            )  # fmt: skip
+        except MotionLoopError as error:
+            self._refused, self.swap_error = new, error.message
+            return
+        self._tracker, self.swap_error = new, None
+        if new.endpoint != old.endpoint:
+            with contextlib.suppress(MotionLoopError):  # the old service may be on its way out
+                await old.ask(Ok, CloseCharacter(), self.character_id, self.settings.tracker_timeout_s)
 
     async def _request(self, goal: PlanGoal, now_tick: int, start_tick: int) -> PlanRequest:
         end_frame = frame_of_tick(start_tick)
@@ -160,17 +198,18 @@ class CharacterLoop:
         first_tick = now_frame // 2 * 3 - (PREFIX_FRAMES + 2) // 2 * 3
         stop_tick = now_tick + (1 if now_tick % 3 == 0 else 0)
         log = await self.ticks(first_tick, stop_tick, PLANNER_FPS)
-        simulated = np.asarray(log.body_pos_w_m, dtype=np.float64)
+        simulated = since(np.asarray(log.body_pos_w_m, dtype=np.float64), now_frame, self._since_frame)
         if self.settings.mode == "open_loop":
             oldest = now_frame - len(simulated) + 1
             if self._buffer.has(oldest):
                 simulated = self._buffer.get(oldest, now_frame + 1)
             elif not self._buffer.has(now_frame):
                 self._buffer.put(oldest, simulated)
-        prefix = build_prefix(
-            simulated, now_frame, end_frame, self._buffer, PREFIX_FRAMES, self.settings.error_decay_s
-        )
+        prefix = build_prefix(simulated, now_frame, end_frame, self._buffer, PREFIX_FRAMES, self.settings.error_decay_s)
         clip = clip_from_positions(prefix.positions_w_m, PLANNER_FPS)
+        if self._services.planner is not self._planner_slot:
+            # A swap is for everyone: a plug-in that this character asked for by name was one of the old service's.
+            self._planner_slot, self.planner = self._services.planner, None
         guidance = goal.guidance if goal.guidance is not None else self.settings.guidance
         return PlanRequest.model_validate(
             {

@@ -16,6 +16,8 @@ Reply = TypeVar("Reply", bound=Message)
 
 PATIENCE_S = 2.0
 """After so long without a reply the service is asked whether it is alive."""
+HEALTH_S = 5.0
+"""A service that does not say within this how it is counts as gone; a machine under load must not look like that."""
 
 
 @dataclass(frozen=True)
@@ -57,15 +59,14 @@ class Slot:
                 if done:
                     return task.result()
                 try:
-                    await self.client.ask(Health(), HealthReport, timeout_s=PATIENCE_S)
+                    await self.client.ask(Health(), HealthReport, timeout_s=HEALTH_S)
                 except MotionLoopError as error:
                     if not task.done():
                         raise UnavailableError(f"the service at {self.endpoint} does not answer") from error
         finally:
-            if not task.done():
-                task.cancel()
-                with contextlib.suppress(asyncio.CancelledError, MotionLoopError):
-                    await task
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError, MotionLoopError):
+                await task
 
 
 @dataclass

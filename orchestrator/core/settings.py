@@ -33,7 +33,7 @@ class LoopSettings(BaseModel):
 
 
 LOCKSTEP = LoopSettings()
-REALTIME = LoopSettings(plan_lead_ticks=12, plan_timeout_s=3.0, tracker_timeout_s=5.0)
+REALTIME = LoopSettings(plan_lead_ticks=12, plan_timeout_s=3.0, tracker_timeout_s=15.0)
 
 VARIANTS: dict[str, LoopSettings] = {
     "closed_loop": LoopSettings(),

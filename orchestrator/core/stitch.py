@@ -92,6 +92,16 @@ class PlanBuffer:
         return self._positions[index]
 
 
+def since(simulated_w_m: npt.ArrayLike, last_frame: int, first_frame: int) -> Array:
+    """Simulated frames (N, J, 3), the last at `last_frame`, with those before `first_frame` replaced by that one.
+
+    After a reset the log still holds what came before it: a prefix over both would jump.
+    """
+    simulated = np.asarray(simulated_w_m, dtype=np.float64)
+    index = np.arange(len(simulated))
+    return simulated[np.clip(index, min(len(simulated) - 1 - (last_frame - first_frame), len(simulated) - 1), None)]
+
+
 def error_decay(elapsed_s: npt.ArrayLike, decay_s: float = DECAY_S) -> Array:
     """Weight of the present tracking error after `elapsed_s`: 1 at 0, 0 from `decay_s` on, smooth at both ends."""
     u = np.clip(np.asarray(elapsed_s, dtype=np.float64) / decay_s, 0.0, 1.0)

@@ -114,7 +114,8 @@ class Store:
         reason = "the orchestrator was stopped in mid-episode"
         now = time.time()
         self._put(
-            "UPDATE episodes SET status = 'interrupted', reason = ?, ended_s = ? WHERE status = 'running'", (reason, now)
+            "UPDATE episodes SET status = 'interrupted', reason = ?, ended_s = ? WHERE status = 'running'",
+            (reason, now),
         )
         self._put("UPDATE characters SET status = 'interrupted', ended_s = ? WHERE status = 'running'", (now,))
         self.flush()

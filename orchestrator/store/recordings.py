@@ -7,6 +7,7 @@ import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -50,17 +51,15 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def to_npz(recording: Recording) -> bytes:
-    """The file's bytes: the arrays, `fps`, `start_tick`, `skeleton`, `joints` and `objects` (text as unicode arrays)."""
+    """The file's bytes: the arrays, and `fps`, `start_tick`, `skeleton`, `joints` and `objects`."""
+    arrays: dict[str, Any] = {name: np.asarray(recording.arrays[name]) for name in FIELDS}
+    arrays["fps"] = np.float64(TICK_HZ)
+    arrays["start_tick"] = np.int64(recording.start_tick)
+    arrays["skeleton"] = np.array(CANONICAL.id)
+    arrays["joints"] = np.array(CANONICAL.names)
+    arrays["objects"] = np.array(recording.objects, dtype="<U64")
     out = io.BytesIO()
-    np.savez_compressed(
-        out,
-        fps=np.float64(TICK_HZ),
-        start_tick=np.int64(recording.start_tick),
-        skeleton=np.array(CANONICAL.id),
-        joints=np.array(CANONICAL.names),
-        objects=np.array(recording.objects, dtype="<U64"),
-        **{name: np.asarray(recording.arrays[name]) for name in FIELDS},
-    )
+    np.savez_compressed(out, **arrays)
     return out.getvalue()
 
 

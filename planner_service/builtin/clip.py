@@ -7,6 +7,8 @@ difference is left decays, and the path is bent toward a `traj` or `pelvis` targ
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import numpy.typing as npt
 
@@ -23,13 +25,16 @@ from shared.protocol.messages import PLANNER_FPS, Plan, PlanRequest
 
 Array = npt.NDArray[np.float64]
 
-ARRIVED_M = 0.35
+ARRIVED_M = 0.2
 """Nearer than this to its target the character comes to a stand."""
 MAX_TURN_RADPS = 1.5
+LEAST_PACE = 0.2
 SEAM_RATE = 8.0
 """Decay rate (1/s) of what differs between prefix and clip at the seam; critically damped."""
 ACTIVITY_BONUS_S = 0.15
 """How much nearer (m per m/s) a frame counts for what happens after it: an idle start would be played for ever."""
+ACTIVE_MPS = 0.6
+"""More activity than this counts no more, or the fastest clip would always win."""
 FLOOR_TARGETS = ("traj", "pelvis")
 
 
@@ -37,7 +42,7 @@ class ClipPlanner:
     """Plays clips of a library. Honours text, floor targets and heading."""
 
     def __init__(self, library: ClipLibrary):
-        self._library = library
+        self._matching = lru_cache(maxsize=256)(library.matching)
         self.spec = PlannerSpec(
             name="clip", version="1", skeleton=CANONICAL.id, fps=PLANNER_FPS, prefix_frames=1, plan_frames=200,
             conditions=("text", "target", "heading"),
@@ -56,7 +61,8 @@ class ClipPlanner:
         if candidates:
             positions = self._play(candidates, last, velocity, request.horizon_frames)
             heading = request.heading.heading_rad if request.heading is not None else None
-            positions = bend(positions, _turn(positions, way, heading))
+            turn = _turn(positions, way, heading)
+            positions = bend(positions, turn, 1.0 if way is None else _pace(positions, way, turn))
             positions[:, :, 2] += np.maximum(0.0, -sole_points(positions)[..., 2].min(axis=-1))[:, None]
             positions = positions[1:]
         else:
@@ -75,9 +81,9 @@ class ClipPlanner:
         """Clips to play; none to come to a stand."""
         if way is not None and np.linalg.norm(way) < ARRIVED_M:
             return []
-        found = self._library.matching(request.text) if request.text else []
+        found = self._matching(request.text) if request.text else []
         if not found and way is not None:
-            found = self._library.matching("walk")
+            found = self._matching("walk")
         return found
 
     def _play(self, clips: list[LibraryClip], last: Array, velocity: Array, horizon: int) -> Array:
@@ -88,7 +94,7 @@ class ClipPlanner:
             length = len(candidate.positions_w_m)
             free = max(1, length - horizon)
             cost = np.linalg.norm(candidate.features[:free] - now, axis=-1)
-            cost = cost - ACTIVITY_BONUS_S * candidate.activity_mps[:free]
+            cost = cost - ACTIVITY_BONUS_S * np.minimum(candidate.activity_mps[:free], ACTIVE_MPS)
             frame = int(np.argmin(cost))
             if cost[frame] < best:
                 best, clip, start = float(cost[frame]), candidate, frame
@@ -114,14 +120,24 @@ def _turn(positions: Array, way: Array | None, heading: float | None) -> float:
     return 0.0
 
 
-def bend(positions: Array, turn_rad: float) -> Array:
-    """The motion (T, 22, 3) with its path and heading turned evenly by `turn_rad`, at most MAX_TURN_RADPS."""
+def _pace(positions: Array, way: Array, turn_rad: float) -> float:
+    """Share of the clip's way to go: less with the target at one's side, and no farther than the target."""
+    travel_m = float(np.linalg.norm(np.diff(positions[:, 0, :2], axis=0), axis=-1).sum())
+    within = float(np.linalg.norm(way)) / max(travel_m, 1e-6)
+    return float(np.clip(min(np.cos(turn_rad), within), LEAST_PACE, 1.0))
+
+
+def bend(positions: Array, turn_rad: float, pace: float = 1.0) -> Array:
+    """The motion (T, 22, 3) with path and heading turned evenly by `turn_rad`, at most MAX_TURN_RADPS.
+
+    `pace` shortens the way: a target at one's side is never reached by walking round it at full pace.
+    """
     steps = len(positions) - 1
     rate = float(np.clip(turn_rad / max(0.5, 0.6 * steps / PLANNER_FPS), -MAX_TURN_RADPS, MAX_TURN_RADPS))
     angle = np.arange(steps + 1) / PLANNER_FPS * rate
     angle = np.sign(rate) * np.minimum(np.abs(angle), abs(turn_rad))
     root = positions[:, 0] * np.array([1.0, 1.0, 0.0])
-    moved = rotate_z(np.diff(root, axis=0), angle[1:])
+    moved = pace * rotate_z(np.diff(root, axis=0), angle[1:])
     path = np.concatenate([root[:1], root[0] + np.cumsum(moved, axis=0)])
     return np.asarray(rotate_z(positions - root[:, None], angle[:, None]) + path[:, None])
 

@@ -18,12 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.data.corpus import Corpus
-from shared.data.grounding import ground
-from shared.data.retarget import FPS as RETARGET_FPS
-from shared.data.retarget import retarget
 from shared.errors import InvalidInputError, MotionLoopError
 from shared.motion.features import body_heading, rotate_z
-from shared.motion.io.bvh import read_bvh
 from shared.motion.resampling import finite_velocity, resample
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import PLANNER_FPS
@@ -35,7 +31,10 @@ KEY_JOINTS = ("pelvis", "left_knee", "left_ankle", "left_foot", "right_knee", "r
               "left_wrist", "right_wrist")  # fmt: skip
 VELOCITY_WEIGHT_S = 0.12
 """A velocity difference of 1 m/s counts like 0.12 m."""
-_FILLERS = frozenset("a an the is are person someone man woman then and while with of on in to their his her".split())
+_FILLERS = frozenset(
+    ("a", "an", "the", "is", "are", "person", "someone", "man", "woman", "then", "and", "while", "with", "of", "on",
+     "in", "to", "their", "his", "her")
+)  # fmt: skip
 log = logging.getLogger(__name__)
 
 
@@ -50,7 +49,7 @@ class LibraryClip:
     """
 
     name: str
-    words: frozenset[str]
+    sentences: tuple[frozenset[str], ...]
     positions_w_m: Array
     features: Array
     activity_mps: Array
@@ -73,18 +72,28 @@ class ClipLibrary:
         return cls(tuple(clips))
 
     def matching(self, text: str) -> list[LibraryClip]:
-        """Clips whose words share the most, rare ones counting more, with the text; none if no word is shared."""
-        count = Counter(word for clip in self.clips for word in clip.words)
-        wanted = words_of([text])
-        scores = [sum(math.log(1 + len(self.clips) / count[w]) for w in wanted & clip.words) for clip in self.clips]
+        """Clips with a sentence most like the text; none if no sentence shares a word with it.
+
+        Likeness is Dice's coefficient of the words, each weighted by how few sentences have it.
+        """
+        count = Counter(word for clip in self.clips for sentence in clip.sentences for word in sentence)
+        total = sum(len(clip.sentences) for clip in self.clips)
+        wanted = words_of(text)
+
+        def weight(words: frozenset[str]) -> float:
+            return sum(math.log(1 + total / max(1, count[word])) for word in words)
+
+        def likeness(sentence: frozenset[str]) -> float:
+            return 2 * weight(wanted & sentence) / max(1e-9, weight(wanted) + weight(sentence))
+
+        scores = [max((likeness(sentence) for sentence in clip.sentences), default=0.0) for clip in self.clips]
         best = max(scores)
-        return [clip for clip, score in zip(self.clips, scores, strict=True) if best > 0 and score >= 0.95 * best]
+        return [clip for clip, score in zip(self.clips, scores, strict=True) if best > 0 and score >= 0.9 * best]
 
 
-def words_of(texts: Iterable[str]) -> frozenset[str]:
+def words_of(text: str) -> frozenset[str]:
     """Lower-case words without fillers, cut down to their stems (walks, walking and walked are `walk`)."""
-    found = (word for text in texts for word in re.findall(r"[a-z]+", text.lower()))
-    return frozenset(_stem(word) for word in found if word not in _FILLERS)
+    return frozenset(_stem(word) for word in re.findall(r"[a-z]+", text.lower()) if word not in _FILLERS)
 
 
 def _stem(word: str) -> str:
@@ -116,7 +125,17 @@ def make_clip(name: str, texts: Iterable[str], positions_w_m: Array, fps: float)
     total = np.concatenate([[0.0], np.cumsum(speed)])
     stop = np.minimum(np.arange(len(p)) + PLANNER_FPS, len(p))
     activity = (total[stop] - total[:-1]) / (stop - np.arange(len(p)))
-    return LibraryClip(name, words_of([*texts, name]), p, pose_features(p, velocity), activity)
+    sentences = tuple(dict.fromkeys(words_of(text) for text in (*texts, name)))
+    return LibraryClip(name, sentences, p, pose_features(p, velocity), activity)
+
+
+def save_clip(folder: Path, name: str, texts: Iterable[str], positions_w_m: npt.ArrayLike, fps: float) -> Path:
+    """Write one clip (T, 22, 3) as NAME.npz into a library folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{name}.npz"
+    positions = np.asarray(positions_w_m, dtype="<f4")
+    np.savez_compressed(path, positions_w_m=positions, fps=np.float64(fps), texts=np.array(list(texts), dtype=np.str_))
+    return path
 
 
 def _entries(folder: Path) -> Iterator[tuple[str, tuple[str, ...], Array, float]]:
@@ -125,7 +144,7 @@ def _entries(folder: Path) -> Iterator[tuple[str, tuple[str, ...], Array, float]
         corpus = Corpus.load(folder)
         for info, positions in corpus:
             if not info.mirrored:
-                yield info.name, (*info.texts, info.behaviour), np.asarray(positions, dtype=np.float64), corpus.fps
+                yield info.behaviour, info.texts, np.asarray(positions, dtype=np.float64), corpus.fps
         return
     for path in sorted(folder.glob("*.npz")):
         try:
@@ -136,7 +155,16 @@ def _entries(folder: Path) -> Iterator[tuple[str, tuple[str, ...], Array, float]
             log.warning("%s is left out: %s", path, error)
     for path in sorted(folder.glob("*.bvh")):
         try:
-            positions, _ = ground(retarget(read_bvh(path)), RETARGET_FPS)
-            yield path.stem.replace("_", " "), (), positions, RETARGET_FPS
+            yield path.stem.replace("_", " "), (), *_read_bvh(path)
         except MotionLoopError as error:
             log.warning("%s is left out: %s", path, error.message)
+
+
+def _read_bvh(path: Path) -> tuple[Array, float]:
+    """Canonical positions and their rate. Imports here: only a folder with BVH files needs the retargeting."""
+    from shared.data.grounding import ground
+    from shared.data.retarget import FPS, retarget
+    from shared.motion.io.bvh import read_bvh
+
+    positions, _ = ground(retarget(read_bvh(path)), FPS)
+    return positions, FPS

@@ -58,24 +58,30 @@ class TargetBatch:
 
     def vector(self, plan_frames: int) -> Tensor:
         """(B, TARGET_NUMBERS) the network's input; an unused slot is all zero."""
-        joint = torch.cat(
-            [
-                self.position_m * SLOT_AXES,
-                torch.ones_like(self.position_m[..., :1]),
-                (self.position_frame / plan_frames)[..., None],
-            ],
-            dim=-1,
-        ) * self.position_valid[..., None]
-        heading = torch.stack(
-            [
-                torch.cos(self.heading_rad),
-                torch.sin(self.heading_rad),
-                torch.zeros_like(self.heading_rad),
-                torch.ones_like(self.heading_rad),
-                self.heading_frame / plan_frames,
-            ],
-            dim=-1,
-        ) * self.heading_valid[..., None]
+        joint = (
+            torch.cat(
+                [
+                    self.position_m * SLOT_AXES,
+                    torch.ones_like(self.position_m[..., :1]),
+                    (self.position_frame / plan_frames)[..., None],
+                ],
+                dim=-1,
+            )
+            * self.position_valid[..., None]
+        )
+        heading = (
+            torch.stack(
+                [
+                    torch.cos(self.heading_rad),
+                    torch.sin(self.heading_rad),
+                    torch.zeros_like(self.heading_rad),
+                    torch.ones_like(self.heading_rad),
+                    self.heading_frame / plan_frames,
+                ],
+                dim=-1,
+            )
+            * self.heading_valid[..., None]
+        )
         return torch.cat([joint.flatten(1), heading], dim=-1).float()
 
 

@@ -30,7 +30,7 @@ def plan_to_positions(plan: Tensor, fps: float) -> tuple[Tensor, Tensor]:
     heading = torch.cumsum(plan[..., YAW_RATE].squeeze(-1) / fps, dim=-1)
     before = torch.cat([torch.zeros_like(heading[..., :1]), heading[..., :-1]], dim=-1)
     xy = torch.cumsum(rotate_z(plan[..., ROOT_VELOCITY] / fps, before), dim=-2)
-    joints = plan[..., JOINT_POSITIONS].unflatten(-1, (JOINTS - 1, 3))
+    joints = plan[..., JOINT_POSITIONS].reshape(plan.shape[:-1] + (JOINTS - 1, 3))
     height = plan[..., ROOT_HEIGHT]
     root = torch.cat([torch.zeros_like(height), torch.zeros_like(height), height], dim=-1)
     turned = rotate_z(torch.cat([root[..., None, :], joints], dim=-2), heading[..., None])

@@ -6,10 +6,11 @@ Shapes: B batch, P prefix frames, N plan frames, F features, L text tokens, W wi
 from __future__ import annotations
 
 import math
+from copy import deepcopy
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional as F  # noqa: N812 - torch's own customary name
+from torch.nn import functional as F
 
 from planner_service.dip.conditions import TARGET_NUMBERS
 from planner_service.dip.config import DipConfig
@@ -26,7 +27,8 @@ def sinusoid(positions: Tensor, width: int) -> Tensor:
 class Attention(nn.Module):
     """Multi-head attention.
 
-    Written out: for 60 tokens on a CPU the fused kernel's backward pass takes six times as long (docs/experiments_planner.md).
+    Written out: for 60 tokens on a CPU the fused kernel's backward pass takes six times as long
+    (docs/experiments_planner.md).
     """
 
     def __init__(self, width: int, heads: int):
@@ -47,7 +49,7 @@ class Attention(nn.Module):
         if mask is not None:
             scores = scores.masked_fill(~mask, -1e4)
         out = torch.softmax(scores, dim=-1).to(values.dtype) @ values
-        return self.out(out.transpose(1, 2).reshape(b, q, w))  # type: ignore[no-any-return]
+        return self.out(out.transpose(1, 2).reshape(b, q, w))
 
 
 class SharedDropout(nn.Module):
@@ -89,10 +91,10 @@ class DecoderLayer(nn.Module):
             return tail + self.drop(self._ff(self.norm3(tail)))
         tail = self.norm1(tail + self.drop(self.self_attention(tail, x, None)))
         tail = self.norm2(tail + self.drop(self.cross_attention(tail, memory, mask)))
-        return self.norm3(tail + self.drop(self._ff(tail)))  # type: ignore[no-any-return]
+        return self.norm3(tail + self.drop(self._ff(tail)))
 
     def _ff(self, x: Tensor) -> Tensor:
-        return self.ff2(self.drop(F.gelu(self.ff1(x))))  # type: ignore[no-any-return]
+        return self.ff2(self.drop(F.gelu(self.ff1(x))))
 
 
 class DipNetwork(nn.Module):
@@ -106,10 +108,18 @@ class DipNetwork(nn.Module):
         self.time_mlp = nn.Sequential(nn.Linear(w, w), nn.SiLU(), nn.Linear(w, w))
         self.target_mlp = nn.Sequential(nn.Linear(TARGET_NUMBERS, w), nn.SiLU(), nn.Linear(w, w))
         self.text_in = nn.Linear(config.text_dim, w)
+        self.text_mean: Tensor
+        self.text_whitening: Tensor
+        if config.pooled_text:
+            self.register_buffer("text_mean", torch.zeros(config.text_dim))
+            self.register_buffer("text_whitening", torch.eye(config.text_dim, config.pooled_text))
+            self.text_pool = nn.Sequential(nn.Linear(config.pooled_text, w), nn.SiLU(), nn.Linear(w, w))
         self.layers = nn.ModuleList(DecoderLayer(config) for _ in range(config.layers))
         self.norm_out = nn.LayerNorm(w) if config.norm_first else nn.Identity()
         self.frame_out = nn.Linear(w, config.features)
         places = torch.arange(config.prefix_frames + config.plan_frames)
+        self.place: Tensor
+        self.step_embedding: Tensor
         self.register_buffer("place", sinusoid(places, w), persistent=False)
         self.register_buffer("step_embedding", sinusoid(torch.arange(config.steps), w), persistent=False)
 
@@ -123,22 +133,56 @@ class DipNetwork(nn.Module):
             step: (B,) int64, 0 (almost clean) .. steps - 1 (almost noise).
             prefix: (B, P, F) clean frames before the plan.
             targets: (B, TARGET_NUMBERS) from `conditions.TargetBatch.vector`.
-            text: (B, L, text_dim) token features; text_mask: (B, L) True where a token counts, all False for no text.
+            text: (B, L, text_dim) token features, the pooled one first.
+            text_mask: (B, L) True where a token counts, all False for no text.
 
         Returns:
             (B, N, F) predicted clean plan.
         """
         condition = self.time_mlp(self.step_embedding[step]) + self.target_mlp(targets)
+        if self.config.pooled_text:
+            pooled = (text[:, 0] - self.text_mean) @ self.text_whitening
+            condition = condition + self.text_pool(pooled) * text_mask[:, :1]
         memory = torch.cat([condition[:, None], self.text_in(text)], dim=1)
         mask = torch.cat([torch.ones_like(text_mask[:, :1]), text_mask], dim=1)[:, None, None, :]
         x = self.frame_in(torch.cat([prefix, noisy], dim=1)) + self.place
         if self.config.condition_every_frame:
-            x = torch.cat([x[:, : self.config.prefix_frames], x[:, self.config.prefix_frames :] + condition[:, None]], 1)
+            prefix_tokens, plan_tokens = x[:, : self.config.prefix_frames], x[:, self.config.prefix_frames :]
+            x = torch.cat([prefix_tokens, plan_tokens + condition[:, None]], dim=1)
         last = len(self.layers) - 1
         for number, layer in enumerate(self.layers):
             keep = self.config.plan_frames if number == last else x.shape[1]
             x = layer(x, memory, mask, keep)
-        return self.frame_out(self.norm_out(x))  # type: ignore[no-any-return]
+        # Eight bits of mantissa in the output would be half a millimetre of noise a frame.
+        with torch.autocast("cpu", enabled=False):
+            return self.frame_out(self.norm_out(x.float()))
+
+
+def whiten_text(network: DipNetwork, pooled: Tensor, damping: float = 0.1) -> None:
+    """Fit the network's fixed whitening of pooled tokens to those of the training sentences (S, text_dim).
+
+    `damping`, as a share of the largest spread, keeps directions that hardly vary from being blown up.
+    """
+    mean = pooled.mean(0)
+    _, spread, directions = torch.linalg.svd(pooled - mean, full_matrices=False)
+    spread = spread / len(pooled) ** 0.5
+    scale = 1.0 / (spread + damping * spread[0])
+    columns = (directions * scale[:, None])[: network.config.pooled_text].T
+    network.text_mean.copy_(mean)
+    network.text_whitening.zero_()
+    network.text_whitening[:, : columns.shape[1]] = columns
+
+
+def with_bf16_blocks(network: DipNetwork) -> DipNetwork:
+    """A copy whose transformer blocks multiply in bfloat16; to be run under `torch.autocast("cpu", torch.bfloat16)`.
+
+    Half the time on a CPU with AVX512-BF16, slower on one without.
+    """
+    copy = deepcopy(network)
+    for module in copy.layers.modules():
+        if isinstance(module, nn.Linear):
+            module.to(torch.bfloat16)
+    return copy
 
 
 def parameter_count(model: nn.Module) -> int:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional as F  # noqa: N812 - torch's own customary name
+from torch.nn import functional as F
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class BertLayer(nn.Module):
             split(self.query(x)), split(self.key(x)), split(self.value(x)), attn_mask=mask
         )
         x = self.norm1(x + self.out(attended.transpose(1, 2).reshape(b, length, width)))
-        return self.norm2(x + self.ff2(F.gelu(self.ff1(x))))  # type: ignore[no-any-return]
+        return self.norm2(x + self.ff2(F.gelu(self.ff1(x))))
 
 
 class BertEncoder(nn.Module):
@@ -76,7 +76,7 @@ class BertEncoder(nn.Module):
         x = self.norm(x)
         for layer in self.layers:
             x = layer(x, mask[:, None, None, :])
-        return x  # type: ignore[no-any-return]
+        return x
 
 
 _EMBEDDINGS = {
@@ -132,4 +132,4 @@ def load_bert(tensors: Mapping[str, Tensor], config: BertConfig) -> BertEncoder:
 def encode_ids(model: BertEncoder, ids: Tensor, mask: Tensor) -> Tensor:
     """`model` without gradients."""
     with torch.inference_mode():
-        return model(ids, mask)  # type: ignore[no-any-return]
+        return model(ids, mask)

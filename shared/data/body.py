@@ -61,7 +61,8 @@ def sole_points(p: Array, side: str) -> Array:
     """(T, 2, 3) heel and ball of the sole."""
     x, up = foot_axes(p, side)
     heel = p[..., J[f"{side}_ankle"], :] - HEEL_BEHIND_ANKLE_M * x - SOLE_UNDER_ANKLE_M * up
-    ball = p[..., J[f"{side}_foot"], :] - SOLE_UNDER_BALL_M * up
+    # The toes stay level while the heel is up, so the ball's sole is straight below its joint.
+    ball = p[..., J[f"{side}_foot"], :] - np.array([0.0, 0.0, SOLE_UNDER_BALL_M])
     return np.stack([heel, ball], axis=-2)
 
 
@@ -89,17 +90,20 @@ def runs(mask: Bools) -> list[tuple[int, int]]:
 
 def mirror(p: Array) -> Array:
     """The pose seen in a mirror at y = 0."""
-    return p[..., CANONICAL.mirror_map, :] * np.array([1.0, -1.0, 1.0])
+    return np.asarray(p[..., CANONICAL.mirror_map, :] * np.array([1.0, -1.0, 1.0]))
 
 
 def place(p: Array, yaw_rad: float | Array, shift: Array | None = None, pivot: Array | None = None) -> Array:
-    """Turn poses (T, J, 3) about the vertical through `pivot` (2,) by `yaw_rad` (scalar or (T,)), then shift by (2,)."""
+    """Poses (T, J, 3) turned about the vertical through `pivot`, then shifted.
+
+    yaw_rad: scalar or (T,); shift and pivot: (2,) or (T, 2) metres, by default none and the origin.
+    """
     yaw = np.broadcast_to(np.asarray(yaw_rad, dtype=np.float64), (len(p),))[:, None]
-    centre = np.zeros(2) if pivot is None else np.asarray(pivot)
+    centre = np.broadcast_to(np.zeros(2) if pivot is None else pivot, (len(p), 2))[:, None]
+    move = np.broadcast_to(np.zeros(2) if shift is None else shift, (len(p), 2))[:, None]
     x, y = p[..., 0] - centre[..., 0], p[..., 1] - centre[..., 1]
     c, s = np.cos(yaw), np.sin(yaw)
     out = p.copy()
-    move = np.zeros(2) if shift is None else np.asarray(shift)
     out[..., 0] = c * x - s * y + centre[..., 0] + move[..., 0]
     out[..., 1] = s * x + c * y + centre[..., 1] + move[..., 1]
     return out
@@ -108,4 +112,4 @@ def place(p: Array, yaw_rad: float | Array, shift: Array | None = None, pivot: A
 def origin_start(p: Array) -> Array:
     """The motion turned and shifted so that its first frame stands over the origin facing +X."""
     out = place(p, -float(heading_rad(p[:1])[0]))
-    return out - np.array([out[0, 0, 0], out[0, 0, 1], 0.0])
+    return np.asarray(out - np.array([out[0, 0, 0], out[0, 0, 1], 0.0]))

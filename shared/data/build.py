@@ -18,7 +18,7 @@ from shared.data.body import Array, mirror, origin_start
 from shared.data.corpus import FORMAT, FPS, ClipInfo, write_corpus
 from shared.data.label import rotation_steps_rad
 from shared.data.limbs import bends_rad
-from shared.data.pieces import Piece, Report, duplicate_takes, pieces_of
+from shared.data.pieces import Piece, Report, pieces_of, same_recording
 from shared.data.retarget import calibrate, retarget
 from shared.data.sources import Take, list_takes
 from shared.data.splice import local_rotations
@@ -101,9 +101,9 @@ def recorded_pieces(takes: Sequence[Take], report: Report, progress: Progress) -
         for take, raw in raws:
             if take.source in _DUPLICATES_AMONG:
                 own = np.stack(list(bends_rad(retarget(raw, calibration)[1:]).values()), axis=-1)
-                repeats = duplicate_takes([*bends, (take.name, own)])
-                if take.name in repeats:
-                    report.drop(take.name, f"the same recording as {repeats[take.name]}")
+                twin = next((name for name, other in bends if same_recording(own, other)), "")
+                if twin:
+                    report.drop(take.name, f"the same recording as {twin}")
                     continue
                 bends.append((take.name, own))
             pieces += pieces_of(take, raw, calibration, report)
@@ -180,9 +180,7 @@ def quality_summary(pieces: Sequence[Piece]) -> dict[str, Any]:
             out[name]["bone_error_mm"] = round(max(v["bone_error_mm"] for v in values), 6)
     if pieces:
         steps = np.concatenate([rotation_steps_rad(local_rotations(p.positions)).max(axis=1) for p in pieces])
-        moves = np.concatenate(
-            [np.linalg.norm(np.diff(p.positions, axis=0), axis=-1).max(axis=1) for p in pieces]
-        )
+        moves = np.concatenate([np.linalg.norm(np.diff(p.positions, axis=0), axis=-1).max(axis=1) for p in pieces])
         for key, x in (("rotation_step_rad", steps), ("position_step_m", moves)):
             out[key] = {f"p{q}": round(float(np.percentile(x, q)), 4) for q in (50, 95, 99, 99.9, 100)}
     return out
@@ -194,6 +192,7 @@ def build(
     seed: int = 0,
     progress: Progress = quiet,
     command: str = "",
+    amount: float = 1.0,
 ) -> dict[str, Any]:
     """Build the corpus.
 
@@ -203,6 +202,7 @@ def build(
         seed: of everything random in made motion; the split does not depend on it.
         progress: told what is being done.
         command: command line for the manifest.
+        amount: scales how many pieces of each kind are made.
 
     Returns:
         The manifest.
@@ -219,7 +219,7 @@ def build(
         digest = hash_inputs(folder)
         pieces = recorded_pieces(list_takes(folder), report, progress)
     pieces = with_split(pieces, heldout_takes(pieces))
-    pieces += made_pieces(pieces, np.random.default_rng(seed), report, progress)
+    pieces += made_pieces(pieces, np.random.default_rng(seed), report, progress, amount)
     clips: list[tuple[Piece, bool]] = [(p, False) for p in pieces]
     clips += [(mirrored(p), True) for p in pieces if p.split == "train"]
     share = weights([p for p, _ in clips])

@@ -29,6 +29,7 @@ _CONTACT_SPEED_MPS = 0.55
 _SUPPORT_HEIGHT_M = 0.05
 _MAX_LOCK_M = 0.12
 _MAX_DROP_M = 0.03
+_REACH_MARGIN_M = 0.006
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class Quality:
 
 
 def _lowest(p: Array) -> Array:
-    return np.minimum(sole_height(p).min(axis=-1), flesh_height(p))
+    return np.asarray(np.minimum(sole_height(p).min(axis=-1), flesh_height(p)))
 
 
 def _supported(p: Array, low: Array, fps: float) -> Bools:
@@ -110,7 +111,7 @@ def _foot_shift(p: Array, side: str, planted: Bools) -> Array:
     step = np.diff(points[..., :2], axis=0, prepend=points[:1, :, :2])
     # The ball leads where both are planted, so that a heel that lifts off does not drag the foot.
     moving = np.where(planted[:, 1:2], step[:, 1], step[:, 0])
-    down = planted.any(axis=-1)
+    down: Bools = np.asarray(planted.any(axis=-1))
     shift = np.full((len(p), 3), np.nan)
     for a, b in runs(down):
         e = np.zeros((b - a, 2))
@@ -128,9 +129,10 @@ def _foot_shift(p: Array, side: str, planted: Bools) -> Array:
         for (_, b), (a, _) in zip(known, known[1:], strict=False):
             w = _smoothstep(a - b)[:, None]
             shift[b:a] = (1 - w) * shift[b - 1] + w * shift[a]
-    shift[:, 2] = gaussian_filter1d(shift[:, 2], 1.0, mode="nearest")
+    # Planted to swinging and back without a corner in the path; stance keeps still but for its first and last frame.
+    shift = gaussian_filter1d(shift, 1.0, axis=0, mode="nearest")
     shift[:, 2] = np.maximum(shift[:, 2], -points[..., 2].min(axis=-1))
-    return shift
+    return np.asarray(shift)
 
 
 def lock_feet(p: Array, fps: float) -> Array:
@@ -139,7 +141,7 @@ def lock_feet(p: Array, fps: float) -> Array:
     targets = {}
     need = np.zeros(len(p))
     lengths = CANONICAL.bone_lengths_m
-    longest = reach(float(lengths[J["left_knee"]]), float(lengths[J["left_ankle"]]))
+    longest = reach(float(lengths[J["left_knee"]]), float(lengths[J["left_ankle"]])) - _REACH_MARGIN_M
     for i, side in enumerate(SIDES):
         target = p[:, J[f"{side}_ankle"]] + _foot_shift(p, side, planted[:, i])
         gap = p[:, J[f"{side}_hip"]] - target
@@ -153,7 +155,7 @@ def lock_feet(p: Array, fps: float) -> Array:
         foot, ankle = J[f"{side}_foot"], J[f"{side}_ankle"]
         out[:, ankle], out[:, foot] = p[:, ankle], p[:, foot]
         out = solve_leg(out, side, targets[side])
-    return out
+    return np.asarray(out)
 
 
 def ground(p: Array, fps: float = 30.0) -> tuple[Array, Quality]:

@@ -79,6 +79,8 @@ def locomotion_label(p: Array, fps: float = 30.0) -> Label:
     starts, ends = speed[:10].mean() < STAND_MPS, speed[-10:].mean() < STAND_MPS
     if abs(turn) > np.radians(200) and seconds > 4:
         return Label("walk", "walk_circle", side_of(turn))
+    if abs(turn) > np.radians(50) and _sharpest_rad(yaw) > np.radians(75):
+        return Label("turn", "walk_uturn" if abs(turn) > np.radians(110) else "walk_turn", side_of(turn))
     if abs(turn) > np.radians(140):
         return Label("walk", "walk_uturn", side_of(turn))
     if abs(turn) > np.radians(35):
@@ -88,6 +90,13 @@ def locomotion_label(p: Array, fps: float = 30.0) -> Label:
     if mean < SLOW_MPS:
         return Label("walk", "walk_slow")
     return Label("walk", "walk_fast" if mean > FAST_MPS else "walk")
+
+
+def _sharpest_rad(yaw: Array, fps: float = 30.0, seconds: float = 1.5) -> float:
+    """Largest change of heading within `seconds`."""
+    n = min(int(seconds * fps), len(yaw) - 1)
+    smooth = gaussian_filter1d(yaw, 4.0, mode="nearest")
+    return float(np.abs(smooth[n:] - smooth[:-n]).max()) if n > 0 else 0.0
 
 
 def airborne_share(p: Array) -> float:
@@ -114,7 +123,9 @@ def jump_label(p: Array) -> Label:
     return Label("jump", "jump_forward") if ahead > 0.3 else Label("jump", "jump")
 
 
-def segment_locomotion(p: Array, fps: float = 30.0, shortest_s: float = 2.0, longest_s: float = 8.0) -> list[tuple[int, int]]:
+def segment_locomotion(
+    p: Array, fps: float = 30.0, shortest_s: float = 2.0, longest_s: float = 8.0
+) -> list[tuple[int, int]]:
     """Half-open pieces of a locomotion take, cut where speed class or turning changes, none under `shortest_s`."""
     speed = path_speed(p, fps)
     yaw_rate = velocity(gaussian_filter1d(heading_rad(p), 9.0, mode="nearest"), fps)

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
-from shared.data.body import SIDES, Array, J, foot_axes, forward_of, left_axis
+from shared.data.body import SIDES, Array, J, foot_axes, left_axis
 from shared.motion.rotations import normalize
 from shared.motion.skeleton import CANONICAL
 
 MIN_BEND_RAD = float(np.radians(15.0))
-_POLE_BIAS_M = 0.02
+_STRAIGHT_RAD = (np.radians(17.0), np.radians(42.0))
+"""Bends between which a limb passes from nearly straight to clearly bent."""
+_POLE_SMOOTHING_FRAMES = 3.0
+_SOFT_REACH_M = 0.004
+
+
+def _bones(side: str, middle: str, end: str) -> tuple[float, float]:
+    lengths = CANONICAL.bone_lengths_m
+    return float(lengths[J[f"{side}_{middle}"]]), float(lengths[J[f"{side}_{end}"]])
 
 
 def reach(a: float, b: float, bend: float = MIN_BEND_RAD) -> float:
@@ -26,11 +35,28 @@ def two_bone(root: Array, target: Array, a: float, b: float, pole: Array) -> tup
     line = target - root
     distance = np.linalg.norm(line, axis=-1, keepdims=True)
     u = normalize(line)
-    d = np.clip(distance, abs(a - b) + 0.02, reach(a, b))
+    # The end of the reach is approached softly, so that a limb that straightens does not stop with a jerk.
+    longest = reach(a, b)
+    d = longest - _SOFT_REACH_M * np.logaddexp(0.0, (longest - distance) / _SOFT_REACH_M)
+    d = np.clip(d, abs(a - b) + 0.02, longest)
     side = pole - np.sum(pole * u, axis=-1, keepdims=True) * u
     along = (a * a - b * b + d * d) / (2 * d)
     out = np.sqrt(np.clip(a * a - along * along, 0.0, None))
     return root + along * u + out * normalize(side), root + d * u
+
+
+def _steady(offset: Array, natural: Array, a: float, b: float) -> Array:
+    """(T, 3) pole of a limb with bones a and b, from the middle joint's offset (T, 3) off the limb's line.
+
+    A bent limb bends where it does. A nearly straight one tells little, and recordings show it bent the wrong way:
+    it bends in its `natural` direction, a unit vector (T, 3), leaning toward what the frames around it show.
+    """
+    size = np.linalg.norm(offset, axis=-1, keepdims=True)
+    bend = size * (a + b) / (a * b)
+    x = np.clip((bend - _STRAIGHT_RAD[0]) / (_STRAIGHT_RAD[1] - _STRAIGHT_RAD[0]), 0.0, 1.0)
+    s = x * x * (3 - 2 * x)
+    around = gaussian_filter1d(offset, _POLE_SMOOTHING_FRAMES, axis=0, mode="nearest") if len(offset) > 1 else offset
+    return np.asarray(s * normalize(offset) + (1 - s) * normalize(natural + 6.0 * around))
 
 
 def knee_pole(p: Array, side: str) -> Array:
@@ -41,7 +67,8 @@ def knee_pole(p: Array, side: str) -> Array:
     offset = offset - np.sum(offset * u, axis=-1, keepdims=True) * u
     trunk = normalize(p[..., J["spine1"], :] - 0.5 * (p[..., J["left_hip"], :] + p[..., J["right_hip"], :]))
     forward = normalize(np.cross(left_axis(p), trunk)) + foot_axes(p, side)[0]
-    return offset + _POLE_BIAS_M * normalize(forward - np.sum(forward * u, axis=-1, keepdims=True) * u)
+    natural = normalize(forward - np.sum(forward * u, axis=-1, keepdims=True) * u)
+    return _steady(offset, natural, *_bones(side, "knee", "ankle"))
 
 
 def elbow_pole(p: Array, side: str) -> Array:
@@ -50,16 +77,21 @@ def elbow_pole(p: Array, side: str) -> Array:
     u = normalize(wrist - shoulder)
     offset = elbow - shoulder
     offset = offset - np.sum(offset * u, axis=-1, keepdims=True) * u
-    return offset + _POLE_BIAS_M * elbow_rest_direction(p, side, u)
+    return _steady(offset, elbow_rest_direction(p, side, u), *_bones(side, "elbow", "wrist"))
 
 
 def elbow_rest_direction(p: Array, side: str, u: Array) -> Array:
-    """(T, 3) unit direction, normal to the arm's line `u`, in which a relaxed elbow points."""
+    """(T, 3) unit direction, normal to the arm's line `u` (T, 3), in which a relaxed elbow points.
+
+    Back when the arm hangs, down when it reaches forward, up when it is swung backward, back when it is held out.
+    """
     outward = normalize(p[..., J["left_shoulder"], :] - p[..., J["right_shoulder"], :])
     outward = outward if side == "left" else -outward
     up = normalize(p[..., J["neck"], :] - p[..., J["spine2"], :])
-    forward = forward_of(p)
-    want = -0.6 * forward + 0.5 * outward - 0.6 * up
+    up = normalize(up - np.sum(up * outward, axis=-1, keepdims=True) * outward)
+    forward = np.cross(outward, up) if side == "left" else np.cross(up, outward)
+    u_forward, u_out, u_up = (np.sum(u * axis, axis=-1, keepdims=True) for axis in (forward, outward, up))
+    want = (u_up - 1.2 * np.clip(u_out, 0.0, None)) * forward - (u_forward + 0.25) * up + 0.4 * outward
     return normalize(want - np.sum(want * u, axis=-1, keepdims=True) * u)
 
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.data.body import SIDES, Array, J
+from shared.data.body import SIDES, Array, Bools, J
+from shared.errors import InvalidInputError
 from shared.motion.io.landmarks import find_landmarks, find_segments, leg_length
 from shared.motion.io.raw import RawMotion
 from shared.motion.rotations import (
@@ -31,7 +32,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class Calibration:
-    """For one source skeleton: constants C with canonical segment rotation = source rotation @ C, and its leg length."""
+    """For one source skeleton: canonical segment rotation = source rotation @ constant; and leg length."""
 
     segments: dict[str, Array]
     leg_m: float
@@ -69,7 +70,7 @@ def calibrate(raws: Sequence[RawMotion]) -> Calibration:
     marks = find_landmarks(raws[0].names, raws[0].parents)
     segments = find_segments(raws[0].names, raws[0].parents, marks, raws[0].offsets_m)
     if raws[0].rotations_w is None:
-        raise ValueError("a calibration needs segment rotations")
+        raise InvalidInputError(f"{raws[0].source}: no rotations to calibrate on", field="path")
     leg = float(np.mean([leg_length(r.positions_w_m, marks) for r in raws]))
     out: dict[str, Array] = {}
     if _rest_is_standing(raws[0], marks):
@@ -84,26 +85,50 @@ def calibrate(raws: Sequence[RawMotion]) -> Calibration:
                 out[name] = matrix_between(shank, -_UP).T @ heading
     else:
         out = _calibrate_upright(raws, marks, segments)
+    out = _settle_upper(raws, segments, out)
     return Calibration(_level_feet(raws, marks, segments, out), leg)
 
 
+def _joint(raw: RawMotion, raws: Sequence[RawMotion], joint: int) -> int:
+    """Index in `raw` of what is `joint` in the first motion: files of one skeleton may order the joints differently."""
+    name = raws[0].names[joint]
+    return joint if raw.names[joint] == name else raw.names.index(name)
+
+
 def _stack(raws: Sequence[RawMotion], joint: int) -> Array:
-    return np.concatenate([r.positions_w_m[:, joint] for r in raws])
+    return np.concatenate([r.positions_w_m[:, _joint(r, raws, joint)] for r in raws])
 
 
 def _rotations(raws: Sequence[RawMotion], joint: int) -> Array:
-    return np.concatenate([r.rotations_w[:, joint] for r in raws if r.rotations_w is not None])
+    return np.concatenate([r.rotations_w[:, _joint(r, raws, joint)] for r in raws if r.rotations_w is not None])
 
 
-def _calibrate_upright(
-    raws: Sequence[RawMotion], marks: dict[str, int], segments: dict[str, int]
-) -> dict[str, Array]:
+def _settle_upper(raws: Sequence[RawMotion], segments: dict[str, int], constants: dict[str, Array]) -> dict[str, Array]:
+    """Where a head or collar is turned over a right angle from the chest on average, the file's zero pose of it is
+    arbitrary (some exporters turn it round): its mean attitude is then taken as that of the chest."""
+    out = dict(constants)
+    if "chest" not in segments:
+        return out
+    chest = _rotations(raws, segments["chest"]) @ constants["chest"]
+    for name in ("head", "left_collar", "right_collar"):
+        if name not in segments:
+            continue
+        g = _rotations(raws, segments[name])
+        mean = _mean_rotation(np.swapaxes(chest, -1, -2) @ g @ constants[name])
+        if np.trace(mean) < 1.0:
+            out[name] = _mean_rotation(np.swapaxes(g, -1, -2) @ chest)
+    return out
+
+
+def _calibrate_upright(raws: Sequence[RawMotion], marks: dict[str, int], segments: dict[str, int]) -> dict[str, Array]:
     hips = 0.5 * (_stack(raws, marks["left_hip"]) + _stack(raws, marks["right_hip"]))
     top = _stack(raws, marks.get("neck", marks.get("head", segments["pelvis"])))
     trunk = normalize(top - hips)
     ankle = np.minimum(_stack(raws, marks["left_ankle"])[:, 2], _stack(raws, marks["right_ankle"])[:, 2])
     tall = hips[:, 2] - ankle
     upright = (trunk[:, 2] > np.cos(np.radians(15.0))) & (tall > 0.95 * np.percentile(tall, 80))
+    if upright.sum() < 5:
+        upright = trunk[:, 2] >= np.sort(trunk[:, 2])[-min(5, len(trunk))]
     across = {"pelvis": _stack(raws, marks["left_hip"]) - _stack(raws, marks["right_hip"])}
     if "left_shoulder" in marks:
         across["chest"] = _stack(raws, marks["left_shoulder"]) - _stack(raws, marks["right_shoulder"])
@@ -122,13 +147,13 @@ def _calibrate_upright(
     return out
 
 
-def _planted(raws: Sequence[RawMotion], marks: dict[str, int], side: str) -> np.ndarray:
+def _planted(raws: Sequence[RawMotion], marks: dict[str, int], side: str) -> Bools:
     """Frames (all takes, concatenated) in which a foot is low and slow; all frames where none is."""
-    joint = marks[f"{side}_ankle"]
     out = []
     for raw in raws:
-        p = raw.positions_w_m[:, joint]
-        other = raw.positions_w_m[:, marks["right_ankle" if side == "left" else "left_ankle"], 2]
+        p = raw.positions_w_m[:, _joint(raw, raws, marks[f"{side}_ankle"])]
+        twin = "right_ankle" if side == "left" else "left_ankle"
+        other = raw.positions_w_m[:, _joint(raw, raws, marks[twin]), 2]
         speed = np.linalg.norm(np.gradient(p, axis=0) * raw.fps, axis=-1) if len(p) > 1 else np.zeros(len(p))
         floor = np.percentile(np.minimum(p[:, 2], other), 10)
         out.append((speed < 0.15) & (p[:, 2] < floor + 0.04))

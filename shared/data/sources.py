@@ -173,7 +173,8 @@ def list_takes(folder: Path) -> list[Take]:
         source = path.relative_to(folder).parts[0]
         stem = path.stem
         asf = None
-        key = source
+        # Some of these files have a head turned round in their zero pose and some do not: each is calibrated alone.
+        key = f"{source}/{stem}" if source in ("cmu_salsa", "cmu_indian", "cmu_martial") else source
         if path.suffix == ".amc":
             prefix = stem[:6] if source == "hdm05" else stem.split("_")[0]
             asf = path.parent / f"{prefix}.asf"
@@ -196,9 +197,7 @@ def list_takes(folder: Path) -> list[Take]:
             skip = "needs a playground that is not there" if behaviour == "other" else "walks on uneven ground"
         if source == "cmu_subjects" and stem.startswith("001"):
             skip = "needs a playground that is not there"
-        takes.append(
-            Take(f"{source}/{stem}", source, path, asf, key, behaviour, action, side, tuple(texts), skip)
-        )
+        takes.append(Take(f"{source}/{stem}", source, path, asf, key, behaviour, action, side, tuple(texts), skip))
     if not takes:
         raise InvalidInputError(f"no BVH, AMC or npz below {folder}", field="mocap_dir")
     return takes

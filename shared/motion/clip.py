@@ -70,6 +70,4 @@ class MotionClip:
 
     def slice(self, start: int, stop: int) -> MotionClip:
         """Frames start..stop-1 as a clip."""
-        return replace(
-            self, positions_w_m=self.positions_w_m[start:stop], rotations_6d=self.rotations_6d[start:stop]
-        )
+        return replace(self, positions_w_m=self.positions_w_m[start:stop], rotations_6d=self.rotations_6d[start:stop])

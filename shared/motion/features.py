@@ -123,7 +123,10 @@ def global_to_features(
 
 
 def features_to_global(features: npt.ArrayLike, fps: float, first: RootState | None = None) -> Array:
-    """R2G: features (T, 263) -> world positions (T, 22, 3), the root frame of frame 0 being `first` (else the origin)."""
+    """R2G: features (T, 263) -> world positions (T, 22, 3).
+
+    `first` is the root frame of frame 0; None stands for the origin and a heading of zero.
+    """
     f = np.asarray(features, dtype=np.float64)
     xy0 = np.zeros(2) if first is None else np.asarray(first.xy_w_m)
     heading0 = 0.0 if first is None else float(first.heading_rad)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from shared.motion.clip import MotionClip
 from shared.motion.kinematics import forward_kinematics, local_from_global
 from shared.motion.rotations import (
+    cross,
     matrix_about_z,
     matrix_between,
     matrix_from_axis_angle,
@@ -37,41 +38,54 @@ ROLL_SCALE_RAD = 0.5
 
 MAX_TOE_EXTENSION_RAD = 0.9
 
+SPINE_SHARES = np.array([1 / 3, 2 / 3])
+"""Parts of the bend from pelvis to chest that are in spine1's and spine2's rotation."""
+
+LIMB_AXES = np.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+"""Rest axes of the hinges of left knee, right knee, left elbow, right elbow."""
+
+LIMB_TWIST_CENTRES_RAD = np.array([0.0, 0.0, -ELBOW_TWIST_CENTRE_RAD, ELBOW_TWIST_CENTRE_RAD])[:, None]
+
 
 def _frame(primary: Array, secondary: Array) -> Array:
     """Orthonormal axes (..., 3, 3) as columns: along `primary`, along the rest of `secondary`, and their normal."""
     x = normalize(primary)
     y = normalize(secondary - np.sum(secondary * x, axis=-1, keepdims=True) * x)
-    return np.stack([x, y, np.cross(x, y)], axis=-1)
+    return np.stack([x, y, cross(x, y)], axis=-1)
 
 
 def _rigid(now: tuple[Array, Array], rest: tuple[Array, Array]) -> Array:
-    """Rotation (..., 3, 3) that turns the rest pair of directions into the present pair."""
-    return np.asarray(_frame(*now) @ _frame(*rest).T)
+    """Rotations (K, T, 3, 3) that turn rest pairs of directions (K, 3) into the present pairs (K, T, 3)."""
+    return np.asarray(_frame(*now) @ _frame(*rest).swapaxes(-1, -2)[:, None])
 
 
 def _turn(rotation: Array, offset: Array, direction: Array) -> Array:
-    """`rotation` followed by the smallest turn that makes the bone `offset` point along `direction`."""
-    return matrix_between(rotation @ offset, direction) @ rotation
+    """`rotation` followed by the smallest turn that makes the bone `offset` (K, 3) point along `direction`."""
+    return matrix_between(_apply(rotation, offset), direction) @ rotation
 
 
-def _limb(parent: Array, upper_off: Array, upper: Array, lower: Array, axis: Array, centre: float) -> Array:
-    """World rotation of the first joint of a two-bone limb, its hinge axis turned into the plane of the bend.
+def _apply(rotation: Array, vector: Array) -> Array:
+    """Vectors (K, 3) turned by rotations (K, T, 3, 3)."""
+    return np.asarray((rotation @ vector[:, None, :, None])[..., 0])
+
+
+def _limb(parent: Array, upper_off: Array, upper: Array, lower: Array, axis: Array, centre: Array) -> Array:
+    """World rotations of the first joints of K two-bone limbs, hinge axes turned into the plane of the bend.
 
     Args:
-        parent: (T, 3, 3) world rotation of the joint's parent.
-        upper_off: (3,) rest offset of the bone; axis: (3,) rest axis of the hinge at its end.
-        upper, lower: (T, 3) present directions of the two bones.
-        centre: twist in radians about which the range (centre - pi, centre + pi) is centred.
+        parent: (K, T, 3, 3) world rotation of the joint's parent.
+        upper_off: (K, 3) rest offset of the bone; axis: (K, 3) rest axis of the hinge at its end.
+        upper, lower: (K, T, 3) present directions of the two bones.
+        centre: (K, 1) twist in radians about which the range (centre - pi, centre + pi) is centred.
     """
     swing = _turn(parent, upper_off, upper)
     upper, lower = normalize(upper), normalize(lower)
-    default = swing @ axis
-    normal = np.cross(upper, lower)
-    twist = np.arctan2(np.sum(np.cross(default, normal) * upper, axis=-1), np.sum(default * normal, axis=-1))
+    default = _apply(swing, axis)
+    normal = cross(upper, lower)
+    twist = np.arctan2(np.sum(cross(default, normal) * upper, axis=-1), np.sum(default * normal, axis=-1))
     twist = wrap_angle(twist - centre) + centre
     low, high = BEND_SINE_RANGE
-    # An obtuse bend (elbow folded) has a small sine too, but a well-defined plane as long as the bones are not parallel.
+    # A folded elbow has a small sine too, but a well-defined plane as long as the bones are not parallel.
     sine = np.where(np.sum(upper * lower, axis=-1) < 0, 1.0, np.linalg.norm(normal, axis=-1))
     s = np.clip((sine - low) / (high - low), 0.0, 1.0)
     return matrix_from_axis_angle(upper, twist * s * s * (3 - 2 * s)) @ swing
@@ -80,8 +94,8 @@ def _limb(parent: Array, upper_off: Array, upper: Array, lower: Array, axis: Arr
 def _flatten_sole(foot: Array) -> Array:
     """Roll the foot about its own length so that small tilts of the sole vanish."""
     along, left = foot[..., :, 0], foot[..., :, 1]
-    level = normalize(np.cross(np.array([0.0, 0.0, 1.0]), along))
-    roll = np.arctan2(np.sum(np.cross(left, level) * along, axis=-1), np.sum(left * level, axis=-1))
+    level = normalize(cross(np.array([0.0, 0.0, 1.0]), along))
+    roll = np.arctan2(np.sum(cross(left, level) * along, axis=-1), np.sum(left * level, axis=-1))
     horizontal = np.linalg.norm(along[..., :2], axis=-1) ** 2
     return matrix_from_axis_angle(along, roll * np.exp(-((roll / ROLL_SCALE_RAD) ** 2)) * horizontal) @ foot
 
@@ -105,50 +119,46 @@ def rotations_from_positions(positions_w_m: npt.ArrayLike, skeleton: Skeleton = 
         their parents, toes only pitch.
     """
     p = np.asarray(positions_w_m, dtype=np.float64)
-    offsets = skeleton.offsets_m
-    at = {name: p[:, i] for i, name in enumerate(skeleton.names)}
-    off = {name: offsets[i] for i, name in enumerate(skeleton.names)}
-    world: dict[str, Array] = {}
+    p, off = np.ascontiguousarray(np.swapaxes(p, 0, 1)), skeleton.offsets_m
+    # Joints whose rotations depend on the same ones are done together: most of the time goes into calls, not numbers.
+    world = np.empty((*p.shape, 3))
 
-    hips_rest = off["left_hip"] - off["right_hip"]
-    waist_rest = off["spine1"] - 0.5 * (off["left_hip"] + off["right_hip"])
-    hip_centre = 0.5 * (at["left_hip"] + at["right_hip"])
-    world["pelvis"] = _rigid(
-        (at["left_hip"] - at["right_hip"], at["spine1"] - hip_centre), (hips_rest, waist_rest)
+    def rows(*names: str) -> list[int]:
+        return [skeleton.index(name) for name in names]
+
+    def both(*parts: str) -> list[int]:
+        return rows(*(f"{side}_{part}" for part in parts for side in ("left", "right")))
+
+    pelvis, spine1, chest, neck = rows("pelvis", "spine1", "spine3", "neck")
+    hips, collars = both("hip"), both("collar")
+    waist = p[spine1] - 0.5 * (p[hips[0]] + p[hips[1]])
+    waist_rest = off[spine1] - 0.5 * (off[hips[0]] + off[hips[1]])
+    world[[pelvis, chest]] = _rigid(
+        (np.stack([p[hips[0]] - p[hips[1]], p[neck] - p[chest]]), np.stack([waist, p[collars[0]] - p[collars[1]]])),
+        (np.stack([off[hips[0]] - off[hips[1]], off[neck]]), np.stack([waist_rest, off[collars[0]] - off[collars[1]]])),
     )
-    world["spine3"] = _rigid(
-        (at["neck"] - at["spine3"], at["left_collar"] - at["right_collar"]),
-        (off["neck"], off["left_collar"] - off["right_collar"]),
+    bend = rotvec_from_matrix(np.swapaxes(world[pelvis], -1, -2) @ world[chest])
+    bases = np.empty((5, *bend.shape, 3))
+    bases[:2] = world[pelvis] @ matrix_from_rotvec(SPINE_SHARES[:, None, None] * bend)
+    bases[2:] = world[chest]
+    joints, ends = rows("spine1", "spine2", "neck") + collars, rows("spine2", "spine3", "head") + both("shoulder")
+    world[joints] = _turn(bases, off[ends], p[ends] - p[joints])
+
+    first, second, last = both("hip", "shoulder"), both("knee", "elbow"), both("ankle", "wrist")
+    lower = p[last] - p[second]
+    world[first] = _limb(
+        world[[pelvis, pelvis, *collars]], off[second], p[second] - p[first], lower, LIMB_AXES, LIMB_TWIST_CENTRES_RAD
     )
-    bend = rotvec_from_matrix(np.swapaxes(world["pelvis"], -1, -2) @ world["spine3"])
-    for joint, child, share in (("spine1", "spine2", 1 / 3), ("spine2", "spine3", 2 / 3)):
-        base = world["pelvis"] @ matrix_from_rotvec(share * bend)
-        world[joint] = _turn(base, off[child], at[child] - at[joint])
-    world["neck"] = _turn(world["spine3"], off["head"], at["head"] - at["neck"])
-    world["head"] = world["neck"]
+    world[second] = _turn(world[first], off[last], lower)
 
-    for side, sign in (("left", 1.0), ("right", -1.0)):
-        hip, knee, ankle, foot = (f"{side}_{n}" for n in ("hip", "knee", "ankle", "foot"))
-        shank = at[ankle] - at[knee]
-        world[hip] = _limb(
-            world["pelvis"], off[knee], at[knee] - at[hip], shank, np.array([0.0, 1.0, 0.0]), 0.0
-        )
-        world[knee] = _turn(world[hip], off[ankle], shank)
-        world[ankle] = _flatten_sole(_turn(world[knee], off[foot], at[foot] - at[ankle]))
-        # Rolling about the foot's own axis moves the toe joint, which lies below that axis: point it back.
-        world[ankle] = _turn(world[ankle], off[foot], at[foot] - at[ankle])
-        world[foot] = _toe(world[ankle])
-
-        collar, shoulder, elbow, wrist = (f"{side}_{n}" for n in ("collar", "shoulder", "elbow", "wrist"))
-        world[collar] = _turn(world["spine3"], off[shoulder], at[shoulder] - at[collar])
-        fore = at[wrist] - at[elbow]
-        world[shoulder] = _limb(
-            world[collar], off[elbow], at[elbow] - at[shoulder], fore,
-            np.array([0.0, 0.0, -sign]), -sign * ELBOW_TWIST_CENTRE_RAD,
-        )  # fmt: skip
-        world[elbow] = _turn(world[shoulder], off[wrist], fore)
-        world[wrist] = world[elbow]
-    return local_from_global(skeleton, np.stack([world[name] for name in skeleton.names], axis=1))
+    ankles, feet = both("ankle"), both("foot")
+    along = p[feet] - p[ankles]
+    sole = _flatten_sole(_turn(world[both("knee")], off[feet], along))
+    # Rolling about the foot's own axis moves the toe joint, which lies below that axis: point it back.
+    world[ankles] = _turn(sole, off[feet], along)
+    world[feet] = _toe(world[ankles])
+    world[rows("head", "left_wrist", "right_wrist")] = world[rows("neck", "left_elbow", "right_elbow")]
+    return local_from_global(skeleton, np.swapaxes(world, 0, 1))
 
 
 def clip_from_positions(

@@ -15,7 +15,18 @@ Array = npt.NDArray[np.float64]
 def normalize(v: npt.ArrayLike, eps: float = 1e-9) -> Array:
     """Unit vectors along the last axis; a vector shorter than `eps` is divided by `eps`."""
     a = np.asarray(v, dtype=np.float64)
-    return a / np.maximum(np.linalg.norm(a, axis=-1, keepdims=True), eps)
+    return np.asarray(a / np.maximum(np.sqrt(np.add.reduce(a * a, axis=-1, keepdims=True)), eps))
+
+
+def cross(a: npt.NDArray[np.floating], b: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    """Cross product along the last axis, what np.cross gives, several times faster for small batches."""
+    out = np.empty(a.shape if a.shape == b.shape else np.broadcast_shapes(a.shape, b.shape), np.result_type(a, b))
+    a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
+    b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
+    out[..., 0] = a1 * b2 - a2 * b1
+    out[..., 1] = a2 * b0 - a0 * b2
+    out[..., 2] = a0 * b1 - a1 * b0
+    return out
 
 
 def matrix_from_6d(r6: npt.ArrayLike) -> Array:
@@ -37,31 +48,33 @@ def quat_from_matrix(m: npt.ArrayLike) -> Array:
     """(..., 3, 3) -> (..., 4) wxyz with w >= 0 (Shepperd's method, the largest component first)."""
     a = np.asarray(m, dtype=np.float64)
     m00, m11, m22 = a[..., 0, 0], a[..., 1, 1], a[..., 2, 2]
-    candidates = np.stack(
-        [
-            np.stack([1 + m00 + m11 + m22, a[..., 2, 1] - a[..., 1, 2], a[..., 0, 2] - a[..., 2, 0], a[..., 1, 0] - a[..., 0, 1]], -1),
-            np.stack([a[..., 2, 1] - a[..., 1, 2], 1 + m00 - m11 - m22, a[..., 0, 1] + a[..., 1, 0], a[..., 0, 2] + a[..., 2, 0]], -1),
-            np.stack([a[..., 0, 2] - a[..., 2, 0], a[..., 0, 1] + a[..., 1, 0], 1 - m00 + m11 - m22, a[..., 1, 2] + a[..., 2, 1]], -1),
-            np.stack([a[..., 1, 0] - a[..., 0, 1], a[..., 0, 2] + a[..., 2, 0], a[..., 1, 2] + a[..., 2, 1], 1 - m00 - m11 + m22], -1),
-        ],
-        axis=-2,
-    )  # (..., 4 candidates, 4)
-    diagonal = np.einsum("...ii->...i", candidates)
+    c = np.empty(a.shape[:-2] + (4, 4))  # candidate, component
+    c[..., 0, 0] = 1 + m00 + m11 + m22
+    c[..., 1, 1] = 1 + m00 - m11 - m22
+    c[..., 2, 2] = 1 - m00 + m11 - m22
+    c[..., 3, 3] = 1 - m00 - m11 + m22
+    c[..., 0, 1] = c[..., 1, 0] = a[..., 2, 1] - a[..., 1, 2]
+    c[..., 0, 2] = c[..., 2, 0] = a[..., 0, 2] - a[..., 2, 0]
+    c[..., 0, 3] = c[..., 3, 0] = a[..., 1, 0] - a[..., 0, 1]
+    c[..., 1, 2] = c[..., 2, 1] = a[..., 0, 1] + a[..., 1, 0]
+    c[..., 1, 3] = c[..., 3, 1] = a[..., 0, 2] + a[..., 2, 0]
+    c[..., 2, 3] = c[..., 3, 2] = a[..., 1, 2] + a[..., 2, 1]
+    diagonal = np.diagonal(c, axis1=-2, axis2=-1)
     best = np.argmax(diagonal, axis=-1)
-    q = np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :]
+    q = np.take_along_axis(c, best[..., None, None], axis=-2)[..., 0, :]
     q = normalize(q)
     return np.where(q[..., :1] < 0, -q, q)
 
 
 def matrix_from_quat(q: npt.ArrayLike) -> Array:
     """(..., 4) wxyz -> (..., 3, 3)."""
-    w, x, y, z = np.moveaxis(normalize(q), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    q = normalize(q)
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    out = np.empty(q.shape[:-1] + (3, 3))
+    out[..., 0, 0], out[..., 0, 1], out[..., 0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    return out
 
 
 def quat_mul(a: npt.ArrayLike, b: npt.ArrayLike) -> Array:
@@ -96,9 +109,10 @@ def matrix_from_axis_angle(axis: npt.ArrayLike, angle: npt.ArrayLike) -> Array:
     """Unit axes (..., 3) and angles (...) in radians -> (..., 3, 3), Rodrigues' formula."""
     axis = np.asarray(axis, dtype=np.float64)
     angle = np.asarray(angle, dtype=np.float64)[..., None, None]
-    x, y, z = np.moveaxis(axis, -1, 0)
-    zero = np.zeros_like(x)
-    k = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(axis.shape[:-1] + (3, 3))
+    x, y, z = axis[..., 0], axis[..., 1], axis[..., 2]
+    k = np.zeros(axis.shape[:-1] + (3, 3))
+    k[..., 0, 1], k[..., 0, 2], k[..., 1, 2] = -z, y, -x
+    k[..., 1, 0], k[..., 2, 0], k[..., 2, 1] = z, -y, x
     return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
 
 
@@ -119,11 +133,15 @@ def rotvec_from_matrix(m: npt.ArrayLike) -> Array:
 def matrix_between(a: npt.ArrayLike, b: npt.ArrayLike) -> Array:
     """Smallest rotation (..., 3, 3) that turns direction `a` into `b`; for opposite ones, about any normal of `a`."""
     a, b = normalize(a), normalize(b)
-    a, b = np.broadcast_arrays(a, b)
+    if a.shape != b.shape:
+        a, b = np.broadcast_arrays(a, b)
     dot = np.sum(a * b, axis=-1)
-    helper = np.where(np.abs(a[..., :1]) < 0.8, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
-    axis = np.where((dot < -1 + 1e-8)[..., None], np.cross(a, helper), np.cross(a, b))
-    angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), dot)
+    axis = cross(a, b)
+    angle = np.arctan2(np.sqrt(np.add.reduce(axis * axis, axis=-1)), dot)
+    opposite = (dot < -1 + 1e-8)[..., None]
+    if opposite.any():
+        helper = np.where(np.abs(a[..., :1]) < 0.8, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
+        axis = np.where(opposite, cross(a, helper), axis)
     return matrix_from_axis_angle(normalize(axis, 1e-12), angle)
 
 

@@ -47,9 +47,7 @@ class Skeleton:
                 allowed=f"shape ({n}, 3)",
             )
         if any(parent >= child for child, parent in enumerate(self.parents)):
-            raise InvalidInputError(
-                f"skeleton {self.id!r}: a parent must precede its children", field="parents"
-            )
+            raise InvalidInputError(f"skeleton {self.id!r}: a parent must precede its children", field="parents")
         self.offsets_m.setflags(write=False)
 
     def __len__(self) -> int:
@@ -60,9 +58,7 @@ class Skeleton:
         try:
             return self.names.index(name)
         except ValueError:
-            raise InvalidInputError(
-                f"unknown joint {name!r}", field="joint", allowed=", ".join(self.names)
-            ) from None
+            raise InvalidInputError(f"unknown joint {name!r}", field="joint", allowed=", ".join(self.names)) from None
 
     def indices(self, *names: str) -> npt.NDArray[np.int64]:
         """Indices of several joints, (len(names),)."""
@@ -144,7 +140,5 @@ SKELETONS = {CANONICAL.id: CANONICAL}
 def skeleton(skeleton_id: str) -> Skeleton:
     """Skeleton by id; raises InvalidInputError listing the known ones."""
     if skeleton_id not in SKELETONS:
-        raise InvalidInputError(
-            f"unknown skeleton {skeleton_id!r}", field="skeleton", allowed=", ".join(SKELETONS)
-        )
+        raise InvalidInputError(f"unknown skeleton {skeleton_id!r}", field="skeleton", allowed=", ".join(SKELETONS))
     return SKELETONS[skeleton_id]

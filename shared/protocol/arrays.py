@@ -1,7 +1,7 @@
 """Array fields of messages: dtype, shape pattern and size limit travel with the type.
 
-`ArrayField("<f4", ("T", 22, 3))` makes a pydantic-checked numpy field. Letters in a shape are sizes that must agree
-within one message (every "T" is the same number).
+`Annotated[Array, ArraySpec("<f4", ("T", 22, 3))]` is a pydantic-checked numpy field. Letters in a shape are sizes
+that must agree within one message (every "T" is the same number).
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -64,17 +64,11 @@ class ArraySpec:
 
         return core_schema.with_info_plain_validator_function(
             validate,
-            field_name=handler.field_name,
             serialization=core_schema.plain_serializer_function_ser_schema(lambda a: a.tolist(), when_used="json"),
         )
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
         return {"type": "array", "x-dtype": self.dtype, "x-shape": list(self.shape), "description": "raw frame"}
-
-
-def ArrayField(dtype: str, shape: tuple[int | str, ...], max_size: int = 20_000) -> Any:
-    """Annotated numpy array type for a message field."""
-    return Annotated[np.ndarray, ArraySpec(dtype, shape, max_size)]
 
 
 @lru_cache(maxsize=256)

@@ -23,7 +23,7 @@ from shared.errors import (
 from shared.protocol.codec import MAX_MESSAGE_BYTES, decode, encode, message_id_of
 from shared.protocol.errors import error_from
 from shared.protocol.messages import PROTOCOL_VERSION, Envelope, ErrorReply, Health, Hello, Message, Welcome
-from shared.protocol.security import CurveKeys, secure_client
+from shared.protocol.security import CurveKeys, closed_on_error, secure_client
 from shared.protocol.server import SKELETON_ID
 
 Kind = Literal["planner", "tracker"]
@@ -145,9 +145,10 @@ class ServiceClient:
         self._own_context = context is None
         self._context: zmq.Context[Any] = context if context is not None else zmq.Context()
         self._socket = self._context.socket(zmq.DEALER)
-        self.peer.connect(self._socket)
         self._lock = threading.Lock()
         self._sequence = 0
+        with closed_on_error(self._socket, self._context if self._own_context else None):
+            self.peer.connect(self._socket)
 
     def connect(self, timeout_s: float = HANDSHAKE_TIMEOUT_S) -> Welcome:
         """Shake hands now. Raises UnavailableError if nobody answers, IncompatiblePeerError if the peer is unfit."""
@@ -268,7 +269,8 @@ class AsyncServiceClient:
         self._own_context = base if context is None else None
         self._context = zmq.asyncio.Context(base)
         self._socket = self._context.socket(zmq.DEALER)
-        self.peer.connect(self._socket)
+        with closed_on_error(self._socket, self._own_context):
+            self.peer.connect(self._socket)
         self._waiting: dict[str, asyncio.Future[Message]] = {}
         self._reader: asyncio.Task[None] | None = None
         self._handshake_lock = asyncio.Lock()

@@ -6,12 +6,13 @@ frame, divisible by 3; frame i of the plan is at start_tick / 30 + (i + 1) / fps
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
-from shared.protocol.arrays import ArrayField, check_letters
+from shared.protocol.arrays import ArraySpec, check_letters
 
 PROTOCOL_VERSION: Final = 1
 TICK_HZ: Final = 30
@@ -19,20 +20,21 @@ PLANNER_FPS: Final = 20
 PHYSICS_HZ: Final = 120
 MAX_TEXT_CHARS = 300
 
+Array = npt.NDArray[Any]
 Vec3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Tick = Annotated[int, Field(ge=0, le=2**40)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_.\-]+$")]
 Pacing = Literal["realtime", "lockstep"]
 
-Positions = ArrayField("<f4", ("T", 22, 3), 4096)
-Rotations = ArrayField("<f4", ("T", 22, 6), 4096)
+Positions = Annotated[Array, ArraySpec("<f4", ("T", 22, 3), 4096)]
+Rotations = Annotated[Array, ArraySpec("<f4", ("T", 22, 6), 4096)]
 
 
 class Message(BaseModel):
     """Base: immutable, no unknown fields, numpy arrays as declared."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True, ser_json_inf_nan="constants")
     type: ClassVar[str] = "Message"
 
     @model_validator(mode="after")
@@ -138,17 +140,19 @@ class PlanRequest(Message):
     planner: Name | None = None
     start_tick: Annotated[int, Field(ge=0, multiple_of=3)]
     fps: Literal[20] = PLANNER_FPS
-    prefix_positions_w_m: ArrayField("<f4", ("P", 22, 3), 256)  # type: ignore[valid-type]
-    prefix_rotations_6d: ArrayField("<f4", ("P", 22, 6), 256)  # type: ignore[valid-type]
-    prefix_velocities_w_mps: ArrayField("<f4", ("P", 22, 3), 256)  # type: ignore[valid-type]
+    prefix_positions_w_m: Annotated[Array, ArraySpec("<f4", ("P", 22, 3), 256)]
+    prefix_rotations_6d: Annotated[Array, ArraySpec("<f4", ("P", 22, 6), 256)]
+    prefix_velocities_w_mps: Annotated[Array, ArraySpec("<f4", ("P", 22, 3), 256)]
     context_frames: Annotated[int, Field(ge=0, le=255)] = 0
     text: Annotated[str, Field(max_length=MAX_TEXT_CHARS)] | None = None
     targets: Annotated[list[JointTarget], Field(max_length=22)] = []
     heading: HeadingTarget | None = None
     desired_velocity_w_mps: tuple[FiniteFloat, FiniteFloat] | None = None
-    keyframe_ticks: ArrayField("<i8", ("K",), 64) = Field(default_factory=lambda: np.zeros(0, "<i8"))  # type: ignore[valid-type]
-    keyframe_mask: ArrayField("|u1", ("K", 22), 64) = Field(default_factory=lambda: np.zeros((0, 22), "|u1"))  # type: ignore[valid-type]
-    keyframe_positions_w_m: ArrayField("<f4", ("K", 22, 3), 64) = Field(  # type: ignore[valid-type]
+    keyframe_ticks: Annotated[Array, ArraySpec("<i8", ("K",), 64)] = Field(default_factory=lambda: np.zeros(0, "<i8"))
+    keyframe_mask: Annotated[Array, ArraySpec("|u1", ("K", 22), 64)] = Field(
+        default_factory=lambda: np.zeros((0, 22), "|u1")
+    )
+    keyframe_positions_w_m: Annotated[Array, ArraySpec("<f4", ("K", 22, 3), 64)] = Field(
         default_factory=lambda: np.zeros((0, 22, 3), "<f4")
     )
     guidance: Annotated[FiniteFloat, Field(ge=0, le=20)] | None = None
@@ -165,8 +169,8 @@ class Plan(Message):
     skeleton: str = "human22"
     start_tick: Annotated[int, Field(ge=0, multiple_of=3)]
     fps: Literal[20] = PLANNER_FPS
-    positions_w_m: Positions  # type: ignore[valid-type]
-    rotations_6d: Rotations  # type: ignore[valid-type]
+    positions_w_m: Positions
+    rotations_6d: Rotations
     seed: Seed = 0
     ignored_conditions: list[str] = []
     timings_ms: dict[str, float] = {}
@@ -235,9 +239,11 @@ class Track(Message):
     start_tick: Annotated[int, Field(ge=0, multiple_of=3)]
     fps: Literal[20] = PLANNER_FPS
     skeleton: str = "human22"
-    positions_w_m: Positions  # type: ignore[valid-type]
-    rotations_6d: Rotations  # type: ignore[valid-type]
-    actions: ArrayField("<f4", ("A", "H"), 4096) = Field(default_factory=lambda: np.zeros((0, 0), "<f4"))  # type: ignore[valid-type]
+    positions_w_m: Positions
+    rotations_6d: Rotations
+    actions: Annotated[Array, ArraySpec("<f4", ("A", "H"), 4096)] = Field(
+        default_factory=lambda: np.zeros((0, 0), "<f4")
+    )
 
 
 class TrackReply(Message):
@@ -282,14 +288,18 @@ class StateFrame(Message):
     paused: bool = False
     tracker: Name
     scene: Name
-    body_pos_w_m: ArrayField("<f4", (22, 3))  # type: ignore[valid-type]
-    body_quat_w: ArrayField("<f4", (22, 4))  # type: ignore[valid-type]
-    body_linvel_w_mps: ArrayField("<f4", (22, 3))  # type: ignore[valid-type]
-    contacts: ArrayField("|u1", (4,))  # type: ignore[valid-type]
-    reference_pos_w_m: ArrayField("<f4", (22, 3))  # type: ignore[valid-type]
+    body_pos_w_m: Annotated[Array, ArraySpec("<f4", (22, 3))]
+    body_quat_w: Annotated[Array, ArraySpec("<f4", (22, 4))]
+    body_linvel_w_mps: Annotated[Array, ArraySpec("<f4", (22, 3))]
+    contacts: Annotated[Array, ArraySpec("|u1", (4,))]
+    reference_pos_w_m: Annotated[Array, ArraySpec("<f4", (22, 3))]
     objects: list[str] = []
-    object_pos_w_m: ArrayField("<f4", ("O", 3), 64) = Field(default_factory=lambda: np.zeros((0, 3), "<f4"))  # type: ignore[valid-type]
-    object_quat_w: ArrayField("<f4", ("O", 4), 64) = Field(default_factory=lambda: np.zeros((0, 4), "<f4"))  # type: ignore[valid-type]
+    object_pos_w_m: Annotated[Array, ArraySpec("<f4", ("O", 3), 64)] = Field(
+        default_factory=lambda: np.zeros((0, 3), "<f4")
+    )
+    object_quat_w: Annotated[Array, ArraySpec("<f4", ("O", 4), 64)] = Field(
+        default_factory=lambda: np.zeros((0, 4), "<f4")
+    )
     tracking_error_m: float
     fallen: bool
     plan_end_tick: int = -1
@@ -323,14 +333,14 @@ class TickRange(Message):
     start_tick: int
     rate_hz: int
     objects: list[str] = []
-    body_pos_w_m: ArrayField("<f4", ("N", 22, 3))  # type: ignore[valid-type]
-    body_quat_w: ArrayField("<f4", ("N", 22, 4))  # type: ignore[valid-type]
-    body_linvel_w_mps: ArrayField("<f4", ("N", 22, 3))  # type: ignore[valid-type]
-    contacts: ArrayField("|u1", ("N", 4))  # type: ignore[valid-type]
-    object_pose_w: ArrayField("<f4", ("N", "O", 7))  # type: ignore[valid-type]
-    tracking_error_m: ArrayField("<f4", ("N",))  # type: ignore[valid-type]
-    fallen: ArrayField("|u1", ("N",))  # type: ignore[valid-type]
-    reference_pos_w_m: ArrayField("<f4", ("R", 22, 3))  # type: ignore[valid-type]
+    body_pos_w_m: Annotated[Array, ArraySpec("<f4", ("N", 22, 3))]
+    body_quat_w: Annotated[Array, ArraySpec("<f4", ("N", 22, 4))]
+    body_linvel_w_mps: Annotated[Array, ArraySpec("<f4", ("N", 22, 3))]
+    contacts: Annotated[Array, ArraySpec("|u1", ("N", 4))]
+    object_pose_w: Annotated[Array, ArraySpec("<f4", ("N", "O", 7))]
+    tracking_error_m: Annotated[Array, ArraySpec("<f4", ("N",))]
+    fallen: Annotated[Array, ArraySpec("|u1", ("N",))]
+    reference_pos_w_m: Annotated[Array, ArraySpec("<f4", ("R", 22, 3))]
 
 
 class Impulse(Message):
@@ -353,8 +363,8 @@ class Snapshot(Message):
     type: ClassVar[str] = "Snapshot"
     tick: Tick
     meta: dict[str, object]
-    state: ArrayField("<f8", ("S",), 1_000_000)  # type: ignore[valid-type]
-    buffers: ArrayField("|u1", ("Y",), 8_000_000)  # type: ignore[valid-type]
+    state: Annotated[Array, ArraySpec("<f8", ("S",), 1_000_000)]
+    buffers: Annotated[Array, ArraySpec("|u1", ("Y",), 8_000_000)]
 
 
 class Restore(Message):
@@ -363,8 +373,8 @@ class Restore(Message):
     type: ClassVar[str] = "Restore"
     tick: Tick
     meta: dict[str, object]
-    state: ArrayField("<f8", ("S",), 1_000_000)  # type: ignore[valid-type]
-    buffers: ArrayField("|u1", ("Y",), 8_000_000)  # type: ignore[valid-type]
+    state: Annotated[Array, ArraySpec("<f8", ("S",), 1_000_000)]
+    buffers: Annotated[Array, ArraySpec("|u1", ("Y",), 8_000_000)]
 
 
 class Render(Message):
@@ -385,7 +395,7 @@ class Video(Message):
     type: ClassVar[str] = "Video"
     renderer: Literal["egl", "osmesa", "drawn"]
     note: str | None = None
-    mp4: ArrayField("|u1", ("Y",), 64_000_000)  # type: ignore[valid-type]
+    mp4: Annotated[Array, ArraySpec("|u1", ("Y",), 64_000_000)]
 
 
 MESSAGES: dict[str, type[Message]] = {

@@ -13,7 +13,15 @@ import zmq.asyncio
 from shared.errors import MotionLoopError
 from shared.protocol.codec import MAX_MESSAGE_BYTES, decode, encode
 from shared.protocol.messages import Envelope, StateFrame
-from shared.protocol.security import CurveKeys, bound_endpoint, check_bind, secure_client, secure_server, wildcard_port
+from shared.protocol.security import (
+    CurveKeys,
+    bound_endpoint,
+    check_bind,
+    closed_on_error,
+    secure_client,
+    secure_server,
+    wildcard_port,
+)
 
 FRAMES_QUEUED = 8
 
@@ -103,7 +111,8 @@ class StateSubscriber:
         self._own_context = context is None
         self._context: zmq.Context[Any] = context if context is not None else zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
-        _set_up(self._socket, endpoint, character_ids, curve)
+        with closed_on_error(self._socket, self._context if self._own_context else None):
+            _set_up(self._socket, endpoint, character_ids, curve)
 
     def latest(self, timeout_s: float) -> dict[str, StateFrame]:
         """The newest frame of each character that has one, waiting up to `timeout_s` for the first."""
@@ -136,7 +145,8 @@ class AsyncStateSubscriber:
         self._own_context = base if context is None else None
         self._context = zmq.asyncio.Context(base)
         self._socket = self._context.socket(zmq.SUB)
-        _set_up(self._socket, endpoint, character_ids, curve)
+        with closed_on_error(self._socket, self._own_context):
+            _set_up(self._socket, endpoint, character_ids, curve)
 
     async def frames(self) -> AsyncIterator[StateFrame]:
         """Frames as they come; where several of a character wait, only the newest."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import ipaddress
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -127,3 +128,18 @@ def start_authenticator(context: zmq.Context[Any], curve: CurveKeys) -> ThreadAu
     authenticator.start()
     authenticator.configure_curve_callback(domain="motionloop", credentials_provider=_AllowList(curve.peers))
     return authenticator
+
+
+@contextlib.contextmanager
+def closed_on_error(socket: zmq.Socket[Any], own_context: zmq.Context[Any] | None) -> Iterator[None]:
+    """Close a socket (and its maker's own context) if setting it up fails.
+
+    A context that is left to the garbage collector with an open socket blocks whoever happens to collect it.
+    """
+    try:
+        yield
+    except BaseException:
+        socket.close(linger=0)
+        if own_context is not None:
+            own_context.destroy(linger=0)
+        raise

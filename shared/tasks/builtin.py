@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.errors import ConflictError
+from shared.motion.rotations import wrap_angle
 from shared.protocol.messages import TICK_HZ, HeadingTarget, JointTarget
 from shared.tasks import rules
 from shared.tasks.interface import BodyView, PlanGoal, Status, Trace, Verdict
@@ -18,6 +19,12 @@ Array = npt.NDArray[np.float64]
 
 STAND_TEXT = "a person is standing still."
 TRAJ = "traj"
+TURN_RADPS = 1.6
+"""Natural speed of turning on the spot."""
+SLOW_MPS = 0.25
+"""Slower than this, a body that was told to halt has come to rest."""
+HOLD_TICKS = 30
+"""How far ahead a standing body's spot is set as target."""
 
 
 def stepped_target(from_xy_m: Array, goal_xy_m: Array, most_m: float) -> Array:
@@ -38,7 +45,10 @@ class ReachTask:
         self._rng = np.random.default_rng(seed)
         self._goal: Array | None = None
         self._arrival_tick: int | None = None
-        self._near = False
+        self._near_since: int | None = None
+        self._corrections = 0
+        self._turning = False
+        self._stand_heading_rad: float | None = None
 
     @property
     def label(self) -> str:
@@ -71,17 +81,22 @@ class ReachTask:
                 distance, bearing = self._rng.uniform(*spec.random_distance_m), self._rng.uniform(-pi, pi)
             angle = view.heading_rad + bearing
             self._goal = view.pelvis_xy_m + distance * np.array([cos(angle), sin(angle)])
-        self._arrival_tick, self._near = None, False
+        self._arrival_tick, self._near_since, self._turning, self._corrections = None, None, False, 0
 
     def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
-        """Target at most `step_m` ahead, reached at a natural speed; standing text once it is close.
+        """Target at most `step_m` ahead, reached at a natural speed; a turn first, standing once it is close.
 
         The arrival tick of the last step is fixed when the goal comes within one step, and counts down from then on.
         """
         tuning, goal = self._tuning, self.goal_xy_m
         away = goal - view.pelvis_xy_m
         distance = float(np.linalg.norm(away))
-        self._near = distance < (tuning.leave_m if self._near else tuning.near_m)
+        near = self._is_near(distance, view.tick)
+        bearing = float(wrap_angle(atan2(away[1], away[0]) - view.heading_rad))
+        self._turning = abs(bearing) > (tuning.turn_to_rad if self._turning else tuning.turn_from_rad)
+        if self._turning and not near:
+            self._arrival_tick = None
+            return self._turn(view, plan_tick, bearing)
         point = stepped_target(view.pelvis_xy_m, goal, tuning.step_m)
         seconds = float(np.linalg.norm(point - view.pelvis_xy_m)) / tuning.speed_mps
         arrival = plan_tick + round(min(max(seconds, tuning.least_arrival_s), 2.0) * TICK_HZ)
@@ -92,12 +107,39 @@ class ReachTask:
                 self._arrival_tick = arrival
             arrival = self._arrival_tick
         target = JointTarget(joint=TRAJ, position_w_m=(float(point[0]), float(point[1]), 0.0), arrival_tick=arrival)
-        if self._near:
-            return PlanGoal(text=STAND_TEXT, targets=(target,), guidance=self._spec.guidance)
+        if near:
+            if self._stand_heading_rad is None:
+                self._stand_heading_rad = view.heading_rad
+            facing = HeadingTarget(heading_rad=self._stand_heading_rad, arrival_tick=arrival)
+            return PlanGoal(text=STAND_TEXT, targets=(target,), heading=facing, guidance=self._spec.guidance)
+        self._stand_heading_rad = None
         heading = None
         if distance > tuning.heading_from_m:
             heading = HeadingTarget(heading_rad=atan2(away[1], away[0]), arrival_tick=arrival)
         return PlanGoal(text=self._spec.text, targets=(target,), heading=heading, guidance=self._spec.guidance)
+
+    def _is_near(self, distance_m: float, tick: int) -> bool:
+        """Whether to stand now: from a little before the goal on, and not where the stop has missed it."""
+        tuning = self._tuning
+        if self._near_since is None:
+            if distance_m < (tuning.near_m if self._corrections == 0 else tuning.stop_m):
+                self._near_since = tick
+        elif distance_m > tuning.leave_m and tick - self._near_since >= tuning.stopping_s * TICK_HZ:
+            self._near_since = None
+            self._corrections += 1
+        return self._near_since is not None
+
+    def _turn(self, view: BodyView, plan_tick: int, bearing_rad: float) -> PlanGoal:
+        """Turn to the goal where it stands."""
+        x, y = (float(v) for v in view.pelvis_xy_m)
+        arrival = plan_tick + round(max(abs(bearing_rad) / TURN_RADPS, 0.5) * TICK_HZ)
+        side = "left" if bearing_rad > 0 else "right"
+        return PlanGoal(
+            text=f"a person turns to the {side}.",
+            targets=(JointTarget(joint=TRAJ, position_w_m=(x, y, 0.0), arrival_tick=arrival),),
+            heading=HeadingTarget(heading_rad=view.heading_rad + bearing_rad, arrival_tick=arrival),
+            guidance=self._spec.guidance,
+        )
 
     def status(self, trace: Trace) -> Status:
         """Done when the goal was held for half a second."""
@@ -122,7 +164,9 @@ class HaltTask:
 
     def __init__(self, spec: HaltSpec):
         self._spec = spec
+        self._last: BodyView | None = None
         self._spot: Array | None = None
+        self._facing_rad = 0.0
 
     @property
     def label(self) -> str:
@@ -135,11 +179,26 @@ class HaltTask:
         return self._spec.settle_s + self._spec.duration_s + 1.0
 
     def start(self, view: BodyView) -> None:
-        """Nothing to fix."""
+        """The spot is where the body comes to rest, which is not known yet."""
+        self._last, self._spot = None, None
 
     def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
-        """Standing, without a target: the body stops where it can."""
-        return PlanGoal(text=self._spec.text, guidance=self._spec.guidance)
+        """Standing; once the body is slow, on the spot where it then is (REFERENCE 3), lest it drift away."""
+        if self._spot is None and self._last is not None and view.tick > self._last.tick:
+            way = float(np.linalg.norm(view.pelvis_xy_m - self._last.pelvis_xy_m))
+            if way * TICK_HZ / (view.tick - self._last.tick) < SLOW_MPS:
+                self._spot, self._facing_rad = view.pelvis_xy_m.copy(), view.heading_rad
+        self._last = view
+        if self._spot is None:
+            return PlanGoal(text=self._spec.text, guidance=self._spec.guidance)
+        spot = (float(self._spot[0]), float(self._spot[1]), 0.0)
+        arrival = plan_tick + HOLD_TICKS
+        return PlanGoal(
+            text=self._spec.text,
+            targets=(JointTarget(joint=TRAJ, position_w_m=spot, arrival_tick=arrival),),
+            heading=HeadingTarget(heading_rad=self._facing_rad, arrival_tick=arrival),
+            guidance=self._spec.guidance,
+        )
 
     def status(self, trace: Trace) -> Status:
         """Done after the stopping and the standing time."""

@@ -43,7 +43,9 @@ def first_held(inside: Bools, hold_ticks: int = HOLD_TICKS) -> int | None:
     return int(np.argmax(both)) if both.any() else None
 
 
-def reach(pelvis_xy_m: Array, fallen: Bools, goal_xy_m: npt.ArrayLike, radius_m: float = REACH_RADIUS_M) -> ReachOutcome:
+def reach(
+    pelvis_xy_m: Array, fallen: Bools, goal_xy_m: npt.ArrayLike, radius_m: float = REACH_RADIUS_M
+) -> ReachOutcome:
     """Reach: (T, 2) pelvis over the floor, (T,) fallen, goal (2,).
 
     code: the pelvis was within the radius at some tick. paper: and it had not fallen before. strict: within it, still

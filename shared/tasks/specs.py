@@ -29,16 +29,23 @@ class ReachTuning(Spec):
         step_m: the target handed to the planner is at most this far ahead (REFERENCE 3: 1.2 m).
         speed_mps: natural speed that sets the arrival ticks.
         least_arrival_s: a target is never asked for sooner than this.
-        near_m, leave_m: within `near_m` of the goal the text becomes standing; beyond `leave_m` walking again.
+        near_m, stopping_s, leave_m, stop_m: within `near_m` of the goal the text becomes standing; if the body is
+            farther than `leave_m` after `stopping_s`, it walks again, this time to within `stop_m`.
         heading_from_m: farther than this the body is asked to face the goal.
+        turn_from_rad, turn_to_rad: a goal at a larger bearing is first turned to on the spot, until the bearing is
+            smaller than the second; a walk that only curves would circle round a near goal.
     """
 
     step_m: Annotated[FiniteFloat, Field(gt=0, le=5)] = 1.2
     speed_mps: Annotated[FiniteFloat, Field(gt=0, le=5)] = 1.0
     least_arrival_s: Annotated[FiniteFloat, Field(ge=0.4, le=2)] = 0.6
     near_m: Annotated[FiniteFloat, Field(ge=0, le=2)] = 0.35
-    leave_m: Annotated[FiniteFloat, Field(ge=0, le=2)] = 0.5
+    stopping_s: Annotated[FiniteFloat, Field(ge=0, le=5)] = 1.0
+    leave_m: Annotated[FiniteFloat, Field(ge=0, le=2)] = 0.3
+    stop_m: Annotated[FiniteFloat, Field(ge=0, le=2)] = 0.25
     heading_from_m: Annotated[FiniteFloat, Field(ge=0, le=5)] = 0.5
+    turn_from_rad: Annotated[FiniteFloat, Field(ge=0, le=7)] = 1.2
+    turn_to_rad: Annotated[FiniteFloat, Field(ge=0, le=7)] = 0.6
 
 
 class ReachSpec(Spec):

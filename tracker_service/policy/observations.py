@@ -94,4 +94,4 @@ def feedforward_targets(ref_next_rad: Array, ref_after_rad: Array, rate_hz: floa
         rate_hz: ticks per second. damping_ratio_s: (H,) kd/kp.
     """
     lead = (ref_after_rad - ref_next_rad) * (rate_hz * damping_ratio_s)
-    return ref_next_rad + np.clip(lead, -FEEDFORWARD_LIMIT_RAD, FEEDFORWARD_LIMIT_RAD)
+    return np.asarray(ref_next_rad + np.clip(lead, -FEEDFORWARD_LIMIT_RAD, FEEDFORWARD_LIMIT_RAD))

@@ -34,8 +34,9 @@ _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 class SimulatedCharacter:
-    """A character that follows its reference. Samples are at 60 Hz: sample k is the state at exactly k / 60 s, tick t is
-    sample 2 t.
+    """A character that follows its reference.
+
+    Samples are at 60 Hz: sample k is the state at exactly k / 60 s, tick t is sample 2 t.
 
     Args:
         scene: the compiled world.
@@ -86,6 +87,13 @@ class SimulatedCharacter:
 
         Rotations are not taken: they come from the positions by the same inverse kinematics everywhere (DESIGN 2).
         """
+        self.reference = self.prepared_reference(start_tick, positions_w_m)
+
+    def prepared_reference(self, start_tick: int, positions_w_m: npt.NDArray[np.floating]) -> ReferenceBuffer:
+        """The reference as `set_reference` would make it, the present one untouched, so that ticks can go on meanwhile.
+
+        Every change of the reference puts another buffer in place of the old one.
+        """
         positions = np.asarray(positions_w_m)
         expected = (len(self.human.skeleton), 3)
         if positions.ndim != 3 or positions.shape[1:] != expected or len(positions) == 0:
@@ -94,7 +102,9 @@ class SimulatedCharacter:
             )
         if not np.isfinite(positions).all():
             raise InvalidInputError("the plan is not finite", field="positions_w_m", allowed="finite numbers")
-        self.reference.insert(start_tick, positions, self.tick)
+        reference = self.reference.copy()
+        reference.insert(start_tick, positions, self.tick)
+        return reference
 
     def set_actions(self, start_tick: int, targets_rad: npt.NDArray[np.floating]) -> None:
         """Servo targets (A, H) for the ticks from start_tick on: row i drives the tick that ends at start_tick + i + 1.
@@ -191,7 +201,7 @@ class SimulatedCharacter:
             targets = np.asarray(self.tracker.act([self.character_id], [self.observe()])[0], dtype=np.float64)
         if not np.isfinite(targets).all():
             raise SimulationError(f"tracker {self.tracker.spec.name!r} gave non-finite targets at tick {self.tick}")
-        return np.clip(targets, self.human.hinges.lower, self.human.hinges.upper)
+        return np.asarray(np.clip(targets, self.human.hinges.lower, self.human.hinges.upper))
 
     def _pose(self, phase: float) -> None:
         """Show the reference between this tick and the next, without physics; objects rest."""
@@ -274,8 +284,9 @@ class SimulatedCharacter:
         try:
             with np.load(io.BytesIO(buffers.tobytes()), allow_pickle=False) as data:
                 arrays = {name: data[name] for name in data.files}
-            reference = {name[4:]: arrays[name] for name in arrays if name.startswith("ref_")}
-            self.reference.from_arrays(reference)
+            reference = self.reference.copy()
+            reference.from_arrays({name[4:]: arrays[name] for name in arrays if name.startswith("ref_")})
+            self.reference = reference
             self._actions = (int(meta["actions_start"]), np.asarray(arrays["actions"], dtype=np.float64))
             self.tick = int(meta["tick"])
             self._fall.down_ticks = int(meta["down_ticks"])

@@ -96,7 +96,7 @@ def _draw_floor(pen: ImageDraw.ImageDraw, camera: _Camera, root: FloatArray) -> 
             ([x0 + k, y0 - span, 0.0], [x0 + k, y0 + span, 0.0]),
             ([x0 - span, y0 + k, 0.0], [x0 + span, y0 + k, 0.0]),
         ):
-            line = np.linspace(*np.array(ends), 2 * span + 1)
+            line = np.linspace(np.array(ends[0]), np.array(ends[1]), 2 * span + 1)
             pixels, depth = camera.project(line)
             for i in range(len(line) - 1):
                 if depth[i] > _NEAR_M and depth[i + 1] > _NEAR_M:

@@ -5,12 +5,12 @@ joint's rotation at zero angles, a joint's rotation relative to its parent is
 
     R = Rot(a1, q1) Rot(a2, q2) Rot(a3, q3) Q0 = E X(q1) Y(q2) Z(q3) E^T Q0,
 
-so the angles are the Euler XYZ angles of E^T R Q0^T E; absent hinges are angles that stay zero. Two-hinge joints have a3
-along the bone they swing, so that dropping q3 drops exactly the twist. The gimbal poles (q2 = +-90 deg) are put where
-people rarely are: for the shoulder an arm pointing 30 deg behind sideways, or across the chest.
+so the angles are the Euler XYZ angles of E^T R Q0^T E; absent hinges are angles that stay zero. Two-hinge joints
+have a3 along the bone they swing, so that dropping q3 drops exactly the twist. The gimbal poles (q2 = +-90 deg) are put
+where people rarely are: for the shoulder an arm pointing 30 deg behind sideways, or across the chest.
 
-Which joints have how many hinges: knee, elbow and toe 1; hip, ankle, shoulder, the three spine joints and neck 3; collar
-2 (its twist cannot be seen from joint positions); head and wrist 0 (their rotation cannot be seen either).
+Which joints have how many hinges: knee, elbow and toe 1; hip, ankle, shoulder, the three spine joints and neck 3;
+collar 2 (its twist cannot be seen from joint positions); head and wrist 0 (their rotation cannot be seen either).
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ class Hinges:
         angles = self.slots(q)
         euler = _euler_xyz_matrix(angles)
         dtype = q.dtype
-        return self.axes.astype(dtype) @ euler @ self.axes_t_rest.astype(dtype)
+        return np.asarray(self.axes.astype(dtype) @ euler @ self.axes_t_rest.astype(dtype))
 
     def raw_angles(self, local: npt.NDArray[np.floating]) -> Array:
         """Principal, unclamped angles (..., J-1, 3) of local rotations (..., J, 3, 3); the root's is ignored."""
@@ -168,8 +168,8 @@ class Hinges:
     def angles(self, local: npt.NDArray[np.floating], previous: Array | None = None) -> Array:
         """Hinge angles (T, H) of a motion's local rotations (T, J, 3, 3), clamped to the limits.
 
-        The same rotation has two Euler triples, each modulo 2 pi. Per frame the one is taken that is nearest to the frame
-        before among those within the limits, so a hinge never jumps where the motion does not.
+        The same rotation has two Euler triples, each modulo 2 pi. Per frame the one is taken that is nearest to the
+        frame before among those within the limits, so a hinge never jumps where the motion does not.
 
         Args:
             local: rotations relative to the parent.
@@ -177,42 +177,35 @@ class Hinges:
         """
         raw = self.raw_angles(local)
         rows = self._three
-        lower = np.zeros((len(rows), 3))
-        upper = np.zeros((len(rows), 3))
-        flat = {int(f): h for h, f in enumerate(self._flat)}
-        for row, joint in enumerate(rows):
-            for slot in range(3):
-                h = flat[int(joint) * 3 + slot]
-                lower[row, slot], upper[row, slot] = self.lower[h], self.upper[h]
+        lower, upper = self.slots(self.lower)[rows], self.slots(self.upper)[rows]
         last = None if previous is None else self.slots(np.asarray(previous, dtype=np.float64))[rows]
         raw[:, rows] = _continuous(raw[:, rows], lower, upper, last)
         q = raw.reshape(raw.shape[0], -1)[:, self._flat]
         return np.asarray(np.clip(q, self.lower, self.upper))
 
 
+_WHOLE_TURNS = 2 * np.pi * np.array([[a, 0.0, c] for a in (-1, 0, 1) for c in (-1, 0, 1)])
+
+
 def _continuous(raw: Array, lower: Array, upper: Array, last: Array | None) -> Array:
     """Choose among equivalent Euler triples (T, R, 3): near the frame before, and within the limits (R, 3)."""
     a, b, c = raw[..., 0], raw[..., 1], raw[..., 2]
-    turns = 2 * np.pi
     flipped = np.stack([a + np.pi, np.where(b >= 0, np.pi, -np.pi) - b, c + np.pi], -1)
-    triples = [
-        base + np.array([da, 0.0, dc])
-        for base in (raw, flipped)
-        for da in (-turns, 0.0, turns)
-        for dc in (-turns, 0.0, turns)
-    ]
-    options = np.stack(triples, axis=2)  # (T, R, K, 3)
+    options = (np.stack([raw, flipped], axis=2)[..., None, :] + _WHOLE_TURNS).reshape(*raw.shape[:2], -1, 3)  # T R K 3
     outside = np.sum(np.maximum(lower[:, None] - options, 0) + np.maximum(options - upper[:, None], 0), axis=-1)
+    far, rows, begin = 3.0 * outside, np.arange(raw.shape[1]), 0
     out = np.empty_like(raw)
-    best = np.argmin(100.0 * outside[0] + np.sum(np.abs(options[0]), -1), axis=-1) if last is None else None
-    rows = np.arange(raw.shape[1])
-    for t in range(raw.shape[0]):
-        if best is None:
-            assert last is not None
-            cost = 3.0 * outside[t] + np.sum(np.abs(options[t] - last[:, None]), -1)
-            best = np.argmin(cost, axis=-1)
-        last = out[t] = options[t, rows, best]
-        best = None
+    gap, cost = np.empty(options.shape[1:]), np.empty(options.shape[1:-1])
+    if last is None:
+        best = np.argmin(100.0 * outside[0] + np.sum(np.abs(options[0]), -1), axis=-1)
+        last = out[0] = options[0, rows, best]
+        begin = 1
+    for t in range(begin, raw.shape[0]):
+        np.subtract(options[t], last[:, None], out=gap)
+        np.abs(gap, out=gap)
+        np.add.reduce(gap, axis=-1, out=cost)
+        cost += far[t]
+        last = out[t] = options[t, rows, cost.argmin(axis=-1)]
     return out
 
 

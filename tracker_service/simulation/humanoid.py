@@ -29,7 +29,7 @@ FEET = ("left_ankle", "left_foot", "right_ankle", "right_foot")
 # contype/conaffinity bits: the world collides with everything, the humanoid only with the world.
 WORLD_BIT, BODY_BIT = 1, 2
 
-_TRUE, _FALSE = mujoco.mjtLimited.mjLIMITED_TRUE, mujoco.mjtLimited.mjLIMITED_FALSE
+_TRUE = mujoco.mjtLimited.mjLIMITED_TRUE
 
 
 @dataclass(frozen=True)
@@ -127,9 +127,6 @@ def foot_height_m(skeleton: Skeleton) -> float:
 def humanoid_spec(human: Humanoid) -> mujoco.MjSpec:
     """The humanoid over a floor as an MjSpec, to which a scene's objects can be added before it is compiled.
 
-    Knees, elbows and toes are stopped at their limits; the other joints only by their servos, whose targets stay within
-    the limits (stops at all 40 hinges cost half as much time again).
-
     Joint order: the free root, then the hinges in the order of `human.hinges`; one position actuator a hinge. The
     servo's damping sits in the joint: MuJoCo integrates it implicitly even while the servo's force is at its limit (an
     actuator's own kv is explicit then, and light limbs explode).
@@ -137,6 +134,7 @@ def humanoid_spec(human: Humanoid) -> mujoco.MjSpec:
     skeleton, character = human.skeleton, human.character
     spec = mujoco.MjSpec()
     spec.modelname = character.name
+    spec.compiler.degree = False
     spec.option.timestep = 1.0 / PHYSICS_HZ
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
@@ -152,7 +150,7 @@ def humanoid_spec(human: Humanoid) -> mujoco.MjSpec:
         conaffinity=BODY_BIT,
         rgba=[0.55, 0.58, 0.62, 1],
     )
-    bodies = []
+    bodies: list[mujoco.MjsBody] = []
     for joint, name in enumerate(skeleton.names):
         if joint == 0:
             body = spec.worldbody.add_body(name=name, pos=[0, 0, skeleton.root_height_m])
@@ -168,7 +166,7 @@ def humanoid_spec(human: Humanoid) -> mujoco.MjSpec:
                     type=mujoco.mjtJoint.mjJNT_HINGE,
                     axis=hinge_spec.rest.T @ hinge_spec.axes[:, slot],
                     range=hinge_spec.limits_rad[slot],
-                    limited=_TRUE if hinge_spec.count == 1 else _FALSE,
+                    limited=_TRUE,
                     armature=character.armature,
                     damping=[character.servo(name).damping, 0, 0],
                 )

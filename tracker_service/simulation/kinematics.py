@@ -1,7 +1,7 @@
 """Body positions, rotations and velocities from generalised coordinates, for a whole batch at once (numpy).
 
-qpos = [root position 3, root quaternion wxyz 4, hinges H], qvel = [root velocity in world 3, root angular velocity in the
-body's frame 3, hinge rates H], as MuJoCo has them.
+qpos = [root position 3, root quaternion wxyz 4, hinges H], qvel = [root velocity in world 3, root angular velocity in
+the body's frame 3, hinge rates H], as MuJoCo has them.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from shared.motion.rotations import matrix_from_quat, quat_from_matrix
+from shared.motion.rotations import cross, matrix_from_quat, quat_from_matrix
 from tracker_service.simulation.humanoid import Humanoid
 
 Array = npt.NDArray[np.floating]
@@ -70,9 +70,24 @@ class BodyKinematics:
             pos[:, children] = pos[:, parents] + arm
             rot[:, children] = parent_rot @ local[:, children - 1]
             parent_ang = ang[:, parents]
-            lin[:, children] = lin[:, parents] + _cross(parent_ang, arm)
+            lin[:, children] = lin[:, parents] + cross(parent_ang, arm)
             ang[:, children] = parent_ang + (parent_rot @ rel[:, children - 1, :, None])[..., 0]
         return BodyStates(pos, rot, lin, ang)
+
+    def poses(self, qpos: Array) -> tuple[Array, Array]:
+        """Positions (B, J, 3) and rotations (B, J, 3, 3) of qpos (B, 7+H): `states` without the velocities."""
+        dtype = qpos.dtype
+        local = self._hinges.rotations(qpos[:, 7:])
+        offsets = self._offsets.astype(dtype)
+        pos = np.empty((len(qpos), len(offsets), 3), dtype)
+        rot = np.empty((len(qpos), len(offsets), 3, 3), dtype)
+        pos[:, 0] = qpos[:, :3]
+        rot[:, 0] = matrix_from_quat(qpos[:, 3:7])
+        for children, parents in self._levels:
+            parent_rot = rot[:, parents]
+            pos[:, children] = pos[:, parents] + (parent_rot @ offsets[children][..., None])[..., 0]
+            rot[:, children] = parent_rot @ local[:, children - 1]
+        return pos, rot
 
     def _relative_angular_velocity(self, q: Array, rates: Array) -> Array:
         """Angular velocity (B, J-1, 3) of each joint relative to its parent, in the parent's frame."""
@@ -85,21 +100,11 @@ class BodyKinematics:
         return np.asarray((self._axes.astype(q.dtype) @ out[..., None])[..., 0])
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """Cross product along the last axis; np.cross is several times slower."""
-    out = np.empty_like(a)
-    out[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
-    out[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
-    out[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return out
-
-
 def qpos_from_motion(human: Humanoid, root_pos_w_m: Array, local: Array, hinges_rad: Array) -> Array:
     """(T, 7+H) qpos from root positions (T, 3), local rotations (T, J, 3, 3) and hinge angles (T, H)."""
     quat = quat_from_matrix(local[:, 0])
-    for t in range(1, len(quat)):
-        if quat[t] @ quat[t - 1] < 0:
-            quat[t] *= -1
+    turned = np.sum(quat[1:] * quat[:-1], axis=-1) < 0  # the same rotation, on the other side of the sphere
+    quat[1:] *= np.cumprod(np.where(turned, -1.0, 1.0))[:, None]
     return np.concatenate([root_pos_w_m, quat, hinges_rad], axis=-1)
 
 
@@ -114,12 +119,16 @@ def qvel_from_qpos(qpos: Array, rate_hz: float) -> Array:
     step = rotvec_small(rot_behind.swapaxes(-1, -2) @ rot_ahead)  # in the frame of `behind`, axis kept by the rotation
     spin_w = (rot_behind @ step[..., None])[..., 0] / span
     spin_b = (rot.swapaxes(-1, -2) @ spin_w[..., None])[..., 0]
-    return np.concatenate([(ahead[:, :3] - behind[:, :3]) / span, spin_b, (ahead[:, 7:] - behind[:, 7:]) / span], axis=-1)
+    return np.concatenate(
+        [(ahead[:, :3] - behind[:, :3]) / span, spin_b, (ahead[:, 7:] - behind[:, 7:]) / span], axis=-1
+    )
 
 
 def rotvec_small(m: Array) -> Array:
     """Rotation vectors (..., 3) of matrices (..., 3, 3) that turn by less than pi."""
-    axis = np.stack([m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]], axis=-1) / 2
+    axis = (
+        np.stack([m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]], axis=-1) / 2
+    )
     sine = np.linalg.norm(axis, axis=-1, keepdims=True)
     cosine = (np.trace(m, axis1=-2, axis2=-1)[..., None] - 1) / 2
     angle = np.arctan2(sine, cosine)

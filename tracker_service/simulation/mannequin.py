@@ -48,7 +48,7 @@ _TRUNK: dict[str, tuple[tuple[Vec, Vec, str], ...]] = {
     "spine3": (((0.0, 0, 0.040), (0.065, 0.102, 0.085), "body"),),
     "head": (((0.006, 0, 0.046), (0.052, 0.044, 0.063), "body"), ((0.049, 0, 0.054), (0.011, 0.032, 0.010), "joint")),
 }
-_SHADOW_REACH_M = 2.5
+_EXTENT_M = 2.5
 
 
 def mannequin_model(
@@ -57,7 +57,6 @@ def mannequin_model(
     *,
     width: int = 640,
     height: int = 480,
-    shadow_size: int = 4096,
 ) -> mujoco.MjModel:
     """Model with one mocap body a joint (named as the joint), one a scene object, a checkered floor and lights."""
     spec = mujoco.MjSpec()
@@ -65,11 +64,10 @@ def mannequin_model(
     visual = spec.visual
     visual.global_.offwidth, visual.global_.offheight = width, height
     visual.global_.fovy = 40.0
-    visual.quality.shadowsize = shadow_size
-    visual.quality.offsamples = 4
+    visual.quality.numslices, visual.quality.numstacks = 20, 10  # vertices cost time without a graphics card
+    visual.quality.offsamples = 0  # several samples a pixel double the time of software rendering
     visual.map.znear, visual.map.zfar = 0.02, 30.0
-    visual.map.shadowclip = 4.0  # a narrower map speckles the floor at its far edge
-    spec.stat.extent, spec.stat.center = _SHADOW_REACH_M, [0.0, 0.0, 1.0]
+    spec.stat.extent, spec.stat.center = _EXTENT_M, [0.0, 0.0, 1.0]
     visual.headlight.ambient = [0.32, 0.32, 0.34]
     visual.headlight.diffuse = [0.18, 0.18, 0.18]
     visual.headlight.specular = [0.0, 0.0, 0.0]
@@ -81,7 +79,7 @@ def mannequin_model(
     )
     world.add_light(
         name=KEY_LIGHT, type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=[0, 0, 6], dir=list(KEY_LIGHT_DIR),
-        castshadow=True, diffuse=[0.72, 0.69, 0.64], specular=[0.18, 0.18, 0.18], ambient=[0, 0, 0],
+        castshadow=False, diffuse=[0.72, 0.69, 0.64], specular=[0.18, 0.18, 0.18], ambient=[0, 0, 0],
     )  # fmt: skip
     world.add_light(
         name="fill", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=[0, 0, 6], dir=[0.6, -0.5, -0.6],
@@ -104,7 +102,7 @@ def _backdrop(spec: mujoco.MjSpec) -> None:
         mark=mujoco.mjtMark.mjMARK_EDGE, rgb1=[0.67, 0.70, 0.73], rgb2=[0.60, 0.63, 0.67],
         markrgb=[0.80, 0.82, 0.85], width=512, height=512,
     )  # fmt: skip
-    floor = spec.add_material(name="floor", texrepeat=[1, 1], texuniform=True, reflectance=0.04, specular=0.1)
+    floor = spec.add_material(name="floor", texrepeat=[1, 1], texuniform=True, reflectance=0.0, specular=0.1)
     floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "grid"
     for name, rgba in (("body", BODY_RGBA), ("left", LEFT_RGBA), ("right", RIGHT_RGBA), ("joint", JOINT_RGBA)):
         spec.add_material(name=name, rgba=list(rgba), specular=0.25, shininess=0.35)
@@ -114,8 +112,8 @@ def _geom(body: mujoco.MjsBody, kind: str, size: Vec, pos: npt.ArrayLike, materi
     """One geom; missing half sizes are zero."""
     full = [*size, 0.0, 0.0, 0.0][:3]
     body.add_geom(
-        type=_KINDS[kind], size=full, pos=np.asarray(pos, dtype=float).tolist(), quat=list(quat or (1.0, 0.0, 0.0, 0.0)),
-        material=material, contype=0, conaffinity=0,
+        type=_KINDS[kind], size=full, pos=np.asarray(pos, dtype=float).tolist(),
+        quat=list(quat or (1.0, 0.0, 0.0, 0.0)), material=material, contype=0, conaffinity=0,
     )  # fmt: skip
 
 
@@ -139,7 +137,7 @@ def _segment(spec: mujoco.MjSpec, body: mujoco.MjsBody, end_m: npt.NDArray[np.fl
 
 
 def _revolve(
-    x: npt.NDArray[np.float64], r: npt.NDArray[np.float64], axis: npt.NDArray[np.float64], around: int = 20
+    x: npt.NDArray[np.float64], r: npt.NDArray[np.float64], axis: npt.NDArray[np.float64], around: int = 14
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.int64]]:
     """Vertices and normals (len(x) * around, 3) and triangles of the outline r(x) turned about `axis`."""
     helper = np.array([0.0, 0.0, 1.0]) if abs(axis[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
@@ -168,9 +166,7 @@ def _dress(spec: mujoco.MjSpec, body: mujoco.MjsBody, skeleton: Skeleton, joint:
         end = skeleton.offsets_m[skeleton.children(joint)[0]]
         mesh = _segment(spec, body, end, part, h)
         colour = {"collar": "body", "neck": "joint"}.get(part, material)
-        body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh, material=colour, contype=0, conaffinity=0
-        )
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh, material=colour, contype=0, conaffinity=0)
     if part in ("hip", "knee", "shoulder", "elbow"):
         _geom(body, "sphere", (_OUTLINES[part][0][1] * 1.08 * h,), (0, 0, 0), "joint")
     elif part == "ankle":

@@ -7,6 +7,8 @@ that reading at any of the three rates picks recorded samples and never interpol
 from __future__ import annotations
 
 import contextlib
+import threading
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -50,7 +52,8 @@ class Recorder:
 
     Memory holds at most `memory_chunks` full chunks and the one being filled; the oldest full chunk moves to an .npz
     file in `spool_dir`. When the disk refuses (full, read-only) the chunk stays in memory and the next append tries
-    again: the loop goes on and nothing is lost.
+    again: the loop goes on and nothing is lost. One thread appends; any may read meanwhile, and reading from disk does
+    not hold the appending one up.
 
     Args:
         spool_dir: folder for the spilled chunks, made on the first spill.
@@ -67,7 +70,8 @@ class Recorder:
     _chunks: list[_Chunk] = field(default_factory=list)
     _open: list[Mapping[str, AnyArray]] = field(default_factory=list)
     _open_count: int = 0
-    _cached: tuple[int, Samples] | None = None
+    _cached: tuple[Path, Samples] | None = None
+    _lock: threading.Lock = field(default_factory=threading.Lock)
 
     @property
     def next_sample(self) -> int:
@@ -94,12 +98,13 @@ class Recorder:
         count = counts.pop()
         if count == 0:
             return
-        if self._open and not _same_layout(self._open[-1], samples):
-            self._seal()
-        self._open.append(dict(samples))
-        self._open_count += count
-        if self._open_count >= self.chunk_samples:
-            self._seal()
+        with self._lock:
+            if self._open and not _same_layout(self._open[-1], samples):
+                self._seal()
+            self._open.append(dict(samples))
+            self._open_count += count
+            if self._open_count >= self.chunk_samples:
+                self._seal()
 
     def read(self, start: int, stop: int, stride: int = 1) -> Samples:
         """Samples start, start + stride, ... < stop in order, as arrays (N, ...).
@@ -111,71 +116,74 @@ class Recorder:
             InvalidInputError: nothing recorded yet, or `stop` beyond the last sample.
             RecordingLostError: a spilled chunk is gone from the disk.
         """
-        end = self.next_sample
-        if end == self.first_sample:
-            raise InvalidInputError("nothing is recorded yet", field="stop_tick")
-        if stop > end:
-            raise InvalidInputError(
-                f"samples up to {stop - 1} asked for, {end - 1} is the last", field="stop_tick", allowed="<= now"
-            )
-        wanted = np.maximum(np.arange(start, stop, stride), self.first_sample)
-        if wanted.size == 0:
-            newest = self._newest()
-            return {name: array[:0] for name, array in newest.items()}
-        self._fold_open()
+        with self._lock:
+            end = self.next_sample
+            if end == self.first_sample:
+                raise InvalidInputError("nothing is recorded yet", field="stop_tick")
+            if stop > end:
+                raise InvalidInputError(
+                    f"samples up to {stop - 1} asked for, {end - 1} is the last", field="stop_tick", allowed="<= now"
+                )
+            wanted = np.maximum(np.arange(start, stop, stride), self.first_sample)
+            first, last = (int(wanted[0]), int(wanted[-1])) if wanted.size else (end - 1, end - 1)
+            chunks = self._overlapping(first, last)
         parts: list[Samples] = []
-        for chunk, arrays in self._overlapping(int(wanted[0]), int(wanted[-1])):
+        for chunk in chunks:
             rows = wanted[(wanted >= chunk.first) & (wanted < chunk.first + chunk.count)] - chunk.first
-            parts.append({name: array[rows] for name, array in arrays.items()})
+            parts.append({name: array[rows] for name, array in self._load(chunk).items()})
         template = parts[-1]
         return {name: np.concatenate([_fit(part[name], template[name]) for part in parts]) for name in template}
 
     def truncate(self, next_sample: int) -> None:
         """Forget the samples from `next_sample` on (a restore to an earlier tick continues from there)."""
-        if next_sample >= self.next_sample:
-            return
-        self._seal()
-        while self._chunks and self._chunks[-1].first + self._chunks[-1].count > next_sample:
-            chunk = self._chunks.pop()
-            keep = next_sample - chunk.first
-            if keep > 0:
-                arrays = self._load(chunk)
-                self._chunks.append(_Chunk(chunk.first, keep, {n: a[:keep] for n, a in arrays.items()}))
-            _discard(chunk)
-            if keep > 0:
-                break
-        self._cached = None
-        if not self._chunks:
-            self.first_sample = next_sample
+        with self._lock:
+            if next_sample >= self.next_sample:
+                return
+            self._seal()
+            while self._chunks and self._chunks[-1].first + self._chunks[-1].count > next_sample:
+                chunk = self._chunks.pop()
+                keep = next_sample - chunk.first
+                if keep > 0:
+                    arrays = self._load(chunk)
+                    self._chunks.append(_Chunk(chunk.first, keep, {n: a[:keep] for n, a in arrays.items()}))
+                _discard(chunk)
+            self._cached = None
+            if not self._chunks:
+                self.first_sample = next_sample
+
+    def begin_at(self, first_sample: int) -> None:
+        """Forget everything; the next sample to come is `first_sample`."""
+        self.truncate(self.first_sample)
+        self.first_sample = first_sample
 
     def close(self) -> None:
         """Delete the spilled files and forget everything."""
-        for chunk in self._chunks:
-            _discard(chunk)
-        self._chunks.clear()
-        self._open.clear()
-        self._open_count = 0
-        self._cached = None
+        with self._lock:
+            for chunk in self._chunks:
+                _discard(chunk)
+            self._chunks.clear()
+            self._open.clear()
+            self._open_count = 0
+            self._cached = None
         with contextlib.suppress(OSError):
             self.spool_dir.rmdir()
-
-    def _newest(self) -> Mapping[str, AnyArray]:
-        return self._open[-1] if self._open else self._load(self._chunks[-1])
 
     def _fold_open(self) -> None:
         if len(self._open) > 1:
             self._open = [{n: np.concatenate([part[n] for part in self._open]) for n in self._open[0]}]
 
-    def _overlapping(self, first: int, last: int) -> list[tuple[_Chunk, Samples]]:
+    def _overlapping(self, first: int, last: int) -> list[_Chunk]:
+        """Copies of the chunks that hold samples first..last, which stay valid after the lock is released."""
         out = [
-            (chunk, self._load(chunk))
+            _Chunk(chunk.first, chunk.count, chunk.arrays, chunk.path)
             for chunk in self._chunks
             if chunk.first <= last and chunk.first + chunk.count > first
         ]
         if self._open:
+            self._fold_open()
             tail = _Chunk(self.next_sample - self._open_count, self._open_count, dict(self._open[0]))
             if tail.first <= last:
-                out.append((tail, tail.arrays or {}))
+                out.append(tail)
         return out
 
     def _seal(self) -> None:
@@ -204,15 +212,16 @@ class Recorder:
     def _load(self, chunk: _Chunk) -> Samples:
         if chunk.arrays is not None:
             return chunk.arrays
-        if self._cached is not None and self._cached[0] == chunk.first:
-            return self._cached[1]
         assert chunk.path is not None
+        cached = self._cached
+        if cached is not None and cached[0] == chunk.path:
+            return cached[1]
         try:
             with np.load(chunk.path, allow_pickle=False) as data:
                 arrays: Samples = {name: data[name] for name in data.files}
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, zipfile.BadZipFile) as error:
             raise RecordingLostError(f"recorded samples in {chunk.path} cannot be read: {error}") from error
-        self._cached = (chunk.first, arrays)
+        self._cached = (chunk.path, arrays)
         return arrays
 
 

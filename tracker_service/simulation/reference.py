@@ -1,14 +1,15 @@
 """The motion a character is asked to follow: plans on absolute 20 fps frames, read as 30 Hz ticks.
 
-Frame f lies at f / 20 s, tick t at t / 30 s. A plan that starts at tick S (divisible by 3) fills the frames after 2 S / 3. Ticks
-come from frames by index-aligned resampling, then inverse kinematics and hinge angles; positions are made anew from those by
-forward kinematics, so that the reference is a pose the character can take. After its last frame a plan goes on into a
-balanced stand.
+Frame f lies at f / 20 s, tick t at t / 30 s. A plan that starts at tick S (divisible by 3) fills the frames after
+2 S / 3. Ticks come from frames by index-aligned resampling, then inverse kinematics and hinge angles; positions are
+made anew from those by forward kinematics, so that the reference is a pose the character can take. After its last
+frame a plan goes on into a balanced stand.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +21,6 @@ from shared.motion.kinematics import forward_kinematics
 from shared.motion.resampling import resample
 from shared.motion.rotations import (
     heading_of,
-    matrix_about_z,
     matrix_from_rotvec,
     quat_from_matrix,
     rotvec_from_matrix,
@@ -85,10 +85,9 @@ def reference_ticks(
     local = rotations_from_positions(positions, human.skeleton)
     hinges = human.hinges.angles(local, previous_hinges)
     qpos = qpos_from_motion(human, positions[:, 0], local, hinges)
-    states = kinematics.states(qpos, np.zeros((len(qpos), qpos.shape[1] - 1)))
-    pos = np.asarray(states.pos_w_m, dtype=np.float64)
+    pos, rot = kinematics.poses(qpos)
     velocity = np.asarray(central_velocity(pos, TICK_HZ))
-    return ReferenceTicks(pos, velocity, quat_from_matrix(states.rot_w), qpos)
+    return ReferenceTicks(np.asarray(pos), velocity, quat_from_matrix(rot), np.asarray(qpos, dtype=np.float64))
 
 
 class ReferenceBuffer:
@@ -115,9 +114,13 @@ class ReferenceBuffer:
         return self._first_tick + len(self._ticks.qpos) - 1
 
     def at(self, tick: int, count: int = 1) -> ReferenceTicks:
-        """Reference at `count` ticks from `tick` on; beyond the end the last pose at rest, before the start the first."""
+        """Reference at `count` ticks from `tick` on; beyond the end the last pose, before the start the first."""
         index = np.clip(np.arange(tick, tick + count) - self._first_tick, 0, len(self._ticks.qpos) - 1)
         return self._ticks.rows(index)
+
+    def copy(self) -> ReferenceBuffer:
+        """An independent buffer; the arrays are shared, since no method changes one in place."""
+        return copy(self)
 
     def insert(self, start_tick: int, positions_w_m: npt.NDArray[np.floating], now_tick: int) -> None:
         """Put a plan in: its frame i at (start_tick / 30 + (i + 1) / 20) s. Ticks up to `now_tick` stay as they were.
@@ -210,4 +213,3 @@ class ReferenceBuffer:
         pos, vel, quat, qpos = (np.asarray(arrays[k], dtype=np.float64) for k in ("pos", "vel", "quat", "qpos"))
         self._ticks = ReferenceTicks(pos, vel, quat, qpos)
         self._first_frame, self._first_tick, self.plan_end_tick = (int(v) for v in arrays["marks"])
-

@@ -64,7 +64,7 @@ class VideoRenderer:
         """The backend in use, found by rendering a tiny frame in a child process the first time."""
         with self._probe_lock:
             if self._chosen is None:
-                self._chosen = next((b for b in self._backends if b == "drawn" or self._works(b)), "drawn")
+                self._chosen = self._first_that_works()
             return self._chosen
 
     def render(self, job: VideoJob) -> RenderedVideo:
@@ -97,6 +97,12 @@ class VideoRenderer:
         self._closed = True
         for child in tuple(self._children):
             child.terminate()
+
+    def _first_that_works(self) -> Backend:
+        for backend in self._backends:
+            if backend == "drawn" or self._works(backend):
+                return backend
+        return "drawn"
 
     def _works(self, backend: Backend) -> bool:
         with tempfile.TemporaryDirectory(prefix="motionloop-probe-") as name:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from shared.motion.skeleton import skeleton
-from tracker_service.simulation.video_job import FPS, VideoJob, camera_path, load_job
+from tracker_service.simulation.video_job import TICK_HZ, VideoJob, camera_path, load_job
 
 Frame = npt.NDArray[np.uint8]
 BACKENDS = ("egl", "osmesa", "drawn")
@@ -26,7 +26,8 @@ def mujoco_frames(job: VideoJob) -> Iterator[Frame]:
     """(height, width, 3) uint8 frames of the mannequin, by MuJoCo's off-screen renderer."""
     import mujoco
 
-    from tracker_service.simulation.mannequin import KEY_LIGHT, KEY_LIGHT_DIR, mannequin_model
+    from tracker_service.simulation.mannequin import mannequin_model
+    from tracker_service.simulation.shadows import FloorShadows
 
     bones = skeleton(job.skeleton_id)
     model = mannequin_model(bones, job.shapes, width=job.width, height=job.height)
@@ -34,11 +35,15 @@ def mujoco_frames(job: VideoJob) -> Iterator[Frame]:
     bodies = [int(model.body(name).mocapid[0]) for name in bones.names]
     shown = {shape.body for shape in job.shapes}
     objects = [(o, int(model.body(f"object:{n}").mocapid[0])) for o, n in enumerate(job.objects) if n in shown]
-    light, light_dir = model.light(KEY_LIGHT).id, np.array(KEY_LIGHT_DIR)
     lookat, azimuth = camera_path(job)
     camera = mujoco.MjvCamera()
     camera.distance, camera.elevation = (6.0, -89.0) if job.camera == "top" else (4.0, -14.0)
+    mujoco.mj_forward(model, data)
     renderer = mujoco.Renderer(model, job.height, job.width)
+    # Shadow maps would draw the scene three times over, most of the time of a frame without a graphics card.
+    renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
+    renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
+    shadows = FloorShadows(renderer.scene)
     try:
         for t in range(len(job.body_pos_w_m)):
             data.mocap_pos[bodies] = job.body_pos_w_m[t]
@@ -46,11 +51,11 @@ def mujoco_frames(job: VideoJob) -> Iterator[Frame]:
             for o, body in objects:
                 data.mocap_pos[body] = job.object_pose_w[t, o, :3]
                 data.mocap_quat[body] = job.object_pose_w[t, o, 3:]
-            model.light_pos[light] = lookat[t] - 5.0 * light_dir
-            mujoco.mj_forward(model, data)
+            mujoco.mj_kinematics(model, data)
             camera.lookat[:] = lookat[t]
             camera.azimuth = float(np.rad2deg(azimuth[t]))
             renderer.update_scene(data, camera)
+            shadows.cast()
             yield np.asarray(renderer.render(), dtype=np.uint8)
     finally:
         renderer.close()
@@ -63,7 +68,7 @@ def with_captions(job: VideoJob, frames: Iterable[Frame]) -> Iterator[Frame]:
     for t, frame in enumerate(frames):
         image = Image.fromarray(frame)
         pen = ImageDraw.Draw(image, "RGBA")
-        clock = f"{(job.start_tick + t) / FPS:6.2f} s"
+        clock = f"{job.tick_of(t) / TICK_HZ:6.2f} s"
         pen.text((job.width - 10, 8), clock, font=small, fill=(40, 44, 52, 255), anchor="ra")
         text = job.caption_at(t)
         if text:
@@ -86,15 +91,16 @@ def _wrap(text: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, width: 
             lines.append(word)
         else:
             lines[-1] = longer
-    return "\n".join(lines[:2] + [lines[2] + " ..."] if len(lines) > 3 else lines)
+    return "\n".join([*lines[:2], lines[2] + " ..."] if len(lines) > 3 else lines)
 
 
-def write_mp4(path: Path, frames: Iterable[Frame], width: int, height: int) -> None:
-    """Encode frames as H.264 at 30 frames a second, ready to play while it loads."""
+def write_mp4(path: Path, frames: Iterable[Frame], job: VideoJob) -> None:
+    """Encode frames as H.264 that plays while it loads."""
     import imageio_ffmpeg
 
     writer = imageio_ffmpeg.write_frames(
-        str(path), (width, height), fps=FPS, codec="libx264", pix_fmt_out="yuv420p", macro_block_size=2, quality=None,
+        str(path), (job.width, job.height), fps=job.fps, codec="libx264", pix_fmt_out="yuv420p",
+        macro_block_size=2, quality=None,
         output_params=["-crf", "23", "-preset", "veryfast", "-movflags", "+faststart", "-threads", "1"],
     )  # fmt: skip
     writer.send(None)
@@ -134,7 +140,7 @@ def main(argv: list[str]) -> int:
         frames = draw_frames(job)
     else:
         frames = mujoco_frames(job)
-    write_mp4(folder / "video.mp4", with_captions(job, frames), job.width, job.height)
+    write_mp4(folder / "video.mp4", with_captions(job, frames), job)
     return 0
 
 

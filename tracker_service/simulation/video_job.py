@@ -15,17 +15,18 @@ from tracker_service.simulation.scene_shapes import SceneShape
 
 FloatArray = npt.NDArray[np.floating]
 Camera = Literal["follow", "side", "top"]
-FPS = 30
+TICK_HZ = 30
 
 
 @dataclass(frozen=True)
 class VideoJob:
-    """A range of a character's log to be drawn at 30 frames a second.
+    """A range of a character's log to be drawn.
 
     Attributes:
         body_pos_w_m: (T, J, 3); body_quat_w: (T, J, 4) wxyz.
         object_pose_w: (T, O, 7) position and quaternion of the objects named in `objects`.
         shapes: how the scene's objects look.
+        fps: frames a second; rows are 30 / fps ticks apart.
         start_tick: tick of the first frame; captions: (tick from which it shows, text), an empty text clears.
         width, height: pixels, even.
         camera: `follow` keeps the character in view from the front side, `side` from the side, `top` from above.
@@ -36,6 +37,7 @@ class VideoJob:
     object_pose_w: FloatArray
     objects: tuple[str, ...] = ()
     shapes: tuple[SceneShape, ...] = ()
+    fps: int = TICK_HZ
     start_tick: int = 0
     captions: tuple[tuple[int, str], ...] = ()
     width: int = 640
@@ -43,9 +45,13 @@ class VideoJob:
     camera: Camera = "follow"
     skeleton_id: str = field(default=CANONICAL.id)
 
+    def tick_of(self, frame: int) -> int:
+        """The tick that a frame shows."""
+        return self.start_tick + frame * TICK_HZ // self.fps
+
     def caption_at(self, frame: int) -> str:
         """The text that shows at a frame."""
-        tick = self.start_tick + frame
+        tick = self.tick_of(frame)
         shown = [text for start, text in sorted(self.captions, key=lambda c: c[0]) if start <= tick]
         return shown[-1] if shown else ""
 
@@ -65,8 +71,12 @@ def load_job(folder: Path) -> VideoJob:
     """Read what `save_job` wrote."""
     meta = json.loads((folder / "job.json").read_text())
     shapes = tuple(
-        SceneShape(**{k: tuple(v) if isinstance(v, list) else v for k, v in s.items()}) for s in meta.pop("shapes")
-    )
+        SceneShape(
+            shape["body"], shape["kind"], tuple(shape["size_m"]), tuple(shape["pos_b_m"]), tuple(shape["quat_b"]),
+            tuple(shape["rgba"]),
+        )
+        for shape in meta.pop("shapes")
+    )  # fmt: skip
     objects = tuple(meta.pop("objects"))
     captions = tuple((int(tick), str(text)) for tick, text in meta.pop("captions"))
     with np.load(folder / "arrays.npz", allow_pickle=False) as data:
@@ -81,10 +91,11 @@ def camera_path(job: VideoJob) -> tuple[FloatArray, FloatArray]:
     slowly so as to stay at the front side of the character, the others keep their direction.
     """
     pelvis = job.body_pos_w_m[:, 0].astype(np.float64)
-    lookat = np.stack([_smooth(pelvis[:, 0], 31), _smooth(pelvis[:, 1], 31), np.full(len(pelvis), 0.85)], axis=-1)
+    x, y = _smooth(pelvis[:, 0], job.fps), _smooth(pelvis[:, 1], job.fps)
+    lookat = np.stack([x, y, np.full(len(pelvis), 0.85)], axis=-1)
     forward = _forward_xy(job)
     if job.camera == "follow":
-        facing = np.unwrap(np.arctan2(_smooth(forward[:, 1], 151), _smooth(forward[:, 0], 151)))
+        facing = np.unwrap(np.arctan2(_smooth(forward[:, 1], 5 * job.fps), _smooth(forward[:, 0], 5 * job.fps)))
         return lookat, facing + np.deg2rad(180.0 - 50.0)
     start = float(np.arctan2(forward[0, 1], forward[0, 0]))
     return lookat, np.full(len(pelvis), start + np.pi / 2)

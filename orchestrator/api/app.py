@@ -1,0 +1,82 @@
+"""The HTTP application: one Orchestrator behind the routes."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import AsyncIterator
+from typing import Any
+
+from fastapi import Depends, FastAPI
+
+from orchestrator.api import characters, episodes, problems, services
+from orchestrator.api.deps import check_token
+from orchestrator.api.settings import OrchestratorSettings
+from orchestrator.core.manager import Orchestrator
+from orchestrator.core.services import Services, Slot, connect
+from orchestrator.store.database import Store
+from shared.errors import UnavailableError
+from shared.protocol.security import CurveKeys, load_curve_keys
+from shared.protocol.transport import Kind
+
+VERSION = "0.1.0"
+
+
+async def connect_patiently(
+    endpoint: str, kind: Kind, plugin: str | None, curve: CurveKeys | None, timeout_s: float
+) -> Slot:
+    """Wait for a service that is still starting; raises UnavailableError when it never comes."""
+    until = time.monotonic() + timeout_s
+    while True:
+        try:
+            return await connect(endpoint, kind, plugin, curve, timeout_s=min(5.0, max(until - time.monotonic(), 0.1)))
+        except UnavailableError:
+            if time.monotonic() >= until:
+                raise
+            await asyncio.sleep(0.2)
+
+
+async def open_orchestrator(settings: OrchestratorSettings) -> Orchestrator:
+    """Connect to both services and open the store."""
+    curve = None if settings.curve_dir is None else load_curve_keys(settings.curve_dir, "client")
+    limit = settings.connect_timeout_s
+    planner = await connect_patiently(settings.planner, "planner", settings.planner_plugin, curve, limit)
+    try:
+        tracker = await connect_patiently(settings.tracker, "tracker", settings.tracker_plugin, curve, limit)
+    except BaseException:
+        await planner.client.close()
+        raise
+    store = await asyncio.to_thread(Store, settings.data_dir)
+    core = Orchestrator(Services(planner, tracker), store, settings.max_running, curve)
+    await asyncio.to_thread(core.recover)
+    return core
+
+
+def create_app(settings: OrchestratorSettings) -> FastAPI:
+    """The app; services and store are opened when it starts and closed when it ends."""
+
+    @contextlib.asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        core = await open_orchestrator(settings)
+        app.state.orchestrator = core
+        try:
+            yield
+        finally:
+            await core.close()
+
+    app = FastAPI(
+        title="motionloop",
+        version=VERSION,
+        summary="Text- and target-driven physical characters",
+        lifespan=lifespan,
+    )
+    app.state.orchestrator = None
+    app.state.token = None if settings.token is None else settings.token.get_secret_value()
+    problems.install(app)
+    guarded: list[Any] = [Depends(check_token)]
+    app.include_router(characters.router, dependencies=guarded)
+    app.include_router(episodes.router, dependencies=guarded)
+    app.include_router(services.router, dependencies=guarded)
+    app.include_router(services.health_router)
+    return app

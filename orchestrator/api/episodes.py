@@ -1,0 +1,127 @@
+"""/v1/episodes: run tasks, follow them, fetch what came of them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Body, Query, Response
+from fastapi.responses import StreamingResponse
+
+from orchestrator.api.deps import Core, EpisodeId
+from orchestrator.api.models import EpisodeBody, EpisodeCreated, EpisodeList
+from orchestrator.api.problems import RESPONSES
+from orchestrator.core.episode import EpisodeSpec
+from orchestrator.core.manager import Orchestrator
+from orchestrator.export.formats import to_bvh, to_csv
+from shared.errors import ConflictError
+
+router = APIRouter(prefix="/v1/episodes", tags=["episodes"], responses=RESPONSES)
+
+_EPISODES: dict[str, Any] = {
+    "tour": {
+        "summary": "Walk, wave, walk back, stand",
+        "value": {
+            "seed": 1,
+            "tasks": [
+                {"type": "reach", "relative_m": [2.0, 0.0]},
+                {"type": "text", "text": "a person waves with the right hand.", "duration_s": 5},
+                {"type": "reach", "relative_m": [-2.0, 0.0]},
+                {"type": "halt"},
+            ],
+        },
+    }
+}
+Status = Literal["running", "finished", "failed", "cancelled", "interrupted"]
+
+
+def _body(core: Orchestrator, row: dict[str, Any]) -> EpisodeBody:
+    live = core.live_episode(row["id"])
+    extra: dict[str, Any] = {}
+    if live is not None and row["status"] == "running":
+        extra = {"phase": live.runner.phase, "tick": live.runner.tick, "results": live.runner.results}
+    outcome = row["outcome"]
+    if outcome:
+        extra = {"success": outcome["success"], "results": outcome["results"], "tick": outcome["ticks"]}
+    return EpisodeBody.model_validate(
+        {
+            **{key: row[key] for key in ("id", "status", "reason", "spec", "created_s", "ended_s")},
+            "services": row["services"] or {},
+            "outcome": outcome or None,
+            **extra,
+        }
+    )
+
+
+@router.post("", status_code=201)
+async def create(core: Core, spec: Annotated[EpisodeSpec, Body(openapi_examples=_EPISODES)]) -> EpisodeCreated:
+    """Start an episode."""
+    return EpisodeCreated(id=core.start_episode(spec))
+
+
+@router.get("")
+async def list_all(
+    core: Core,
+    status: Status | None = None,
+    limit: Annotated[int, Query(ge=1, le=200)] = 50,
+    offset: Annotated[int, Query(ge=0, le=1_000_000)] = 0,
+) -> EpisodeList:
+    """Episodes, newest first."""
+    rows, total = await asyncio.to_thread(core.store.episodes, status, limit, offset)
+    return EpisodeList(items=[_body(core, row) for row in rows], total=total, limit=limit, offset=offset)
+
+
+@router.get("/{episode_id}")
+async def get(core: Core, episode_id: EpisodeId) -> EpisodeBody:
+    """One episode."""
+    return _body(core, await asyncio.to_thread(core.store.episode, str(episode_id)))
+
+
+@router.delete("/{episode_id}")
+async def delete(core: Core, episode_id: EpisodeId) -> dict[str, str]:
+    """Cancel a running episode; delete one that is over, with its recording."""
+    return {"status": await core.cancel_or_delete_episode(str(episode_id))}
+
+
+@router.get("/{episode_id}/events", response_class=StreamingResponse)
+async def events(core: Core, episode_id: EpisodeId, since: Annotated[int, Query(ge=0)] = 0) -> StreamingResponse:
+    """Server-sent events: those so far, then new ones until the episode ends."""
+    await asyncio.to_thread(core.store.episode, str(episode_id))
+    return StreamingResponse(_sse(core, str(episode_id), since), media_type="text/event-stream")
+
+
+async def _sse(core: Orchestrator, episode_id: str, since: int) -> AsyncIterator[str]:
+    live = core.live_episode(episode_id)
+    if live is None:
+        for event in await asyncio.to_thread(core.store.events, episode_id, since):
+            yield f"id: {event.seq}\nevent: {event.type}\ndata: {event.model_dump_json()}\n\n"
+        return
+    async for event in live.runner.events.listen(since):
+        yield f"id: {event.seq}\nevent: {event.type}\ndata: {event.model_dump_json()}\n\n"
+
+
+@router.get("/{episode_id}/motion.{suffix}", response_class=Response)
+async def motion(core: Core, episode_id: EpisodeId, suffix: Literal["npz", "bvh", "csv"]) -> Response:
+    """The recorded motion at 30 Hz."""
+    key = str(episode_id)
+    row = await asyncio.to_thread(core.store.episode, key)
+    if row["status"] == "running":
+        raise ConflictError("the episode is still running", field="id")
+    recording = await asyncio.to_thread(core.files.load, key)
+    if suffix == "npz":
+        return _file(await asyncio.to_thread(core.files.path(key).read_bytes), "application/octet-stream", key, suffix)
+    if suffix == "bvh":
+        return _file(await asyncio.to_thread(to_bvh, recording), "text/plain", key, suffix)
+    return _file(await asyncio.to_thread(to_csv, recording), "text/csv", key, suffix)
+
+
+@router.get("/{episode_id}/video.mp4", response_class=Response)
+async def video(core: Core, episode_id: EpisodeId) -> Response:
+    """The episode as MP4; rendered on the first request, which takes a while."""
+    return _file(await core.video(str(episode_id)), "video/mp4", str(episode_id), "mp4")
+
+
+def _file(data: bytes, media_type: str, name: str, suffix: str) -> Response:
+    headers = {"Content-Disposition": f'attachment; filename="{name}.{suffix}"'}
+    return Response(data, media_type=media_type, headers=headers)

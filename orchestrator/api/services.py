@@ -1,0 +1,69 @@
+"""/v1/services, health and metrics."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Body, Response
+from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
+
+from orchestrator.api.deps import Core
+from orchestrator.api.metrics import registry_of
+from orchestrator.api.models import HealthBody, ServiceBody, ServicesBody, SwapBody
+from orchestrator.api.problems import RESPONSES, Problem, problem_response
+from shared.errors import MotionLoopError
+from shared.protocol.messages import Health, HealthReport
+
+router = APIRouter(prefix="/v1/services", tags=["services"], responses=RESPONSES)
+health_router = APIRouter(tags=["health"])
+
+HEALTH_TIMEOUT_S = 2.0
+_SWAPS: dict[str, Any] = {
+    "plugin": {"summary": "Another plug-in of the same service", "value": {"plugin": "stand"}},
+    "endpoint": {"summary": "Another service", "value": {"endpoint": "tcp://127.0.0.1:5701", "plugin": "dip"}},
+}
+
+
+@router.get("")
+async def get(core: Core) -> ServicesBody:
+    """What planner and tracker are in use, and what else they offer."""
+    return ServicesBody.model_validate(core.service_report())
+
+
+@router.put("/{kind}")
+async def put(
+    core: Core, kind: Literal["planner", "tracker"], body: Annotated[SwapBody, Body(openapi_examples=_SWAPS)]
+) -> ServiceBody:
+    """Exchange a service or plug-in while it runs; an unfit one is refused and the old one stays."""
+    return ServiceBody.model_validate(await core.swap(kind, body.endpoint, body.plugin))
+
+
+@health_router.get("/healthz")
+async def healthz() -> HealthBody:
+    """The process is alive."""
+    return HealthBody(status="ok")
+
+
+@health_router.get("/readyz", response_model=HealthBody, responses={503: {"model": Problem}})
+async def readyz(core: Core) -> HealthBody | Response:
+    """Both services answer."""
+    found: dict[str, str] = {}
+    for kind, slot in (("planner", core.services.planner), ("tracker", core.services.tracker)):
+        try:
+            report = await slot.client.ask(Health(), HealthReport, timeout_s=HEALTH_TIMEOUT_S)
+            found[kind] = report.status
+        except MotionLoopError as error:
+            found[kind] = error.message
+    missing = [kind for kind, status in found.items() if status not in ("ok", "degraded")]
+    if missing:
+        detail = "; ".join(f"{kind}: {found[kind]}" for kind in missing)
+        return problem_response(
+            Problem(title="not ready", status=503, detail=detail, code="unavailable", retryable=True, field=missing[0])
+        )
+    return HealthBody(status="ok", services=found)
+
+
+@health_router.get("/metrics", response_class=Response)
+async def metrics(core: Core) -> Response:
+    """Prometheus text."""
+    return Response(generate_latest(registry_of(core)), media_type=CONTENT_TYPE_LATEST)

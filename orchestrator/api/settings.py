@@ -1,0 +1,62 @@
+"""Settings of the orchestrator: environment variables MOTIONLOOP_*, checked at the edge."""
+
+from __future__ import annotations
+
+import ipaddress
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+from pydantic import Field, SecretStr, model_validator
+
+from shared.settings import Settings, curve_dir_from_environment
+
+TOKEN_CHARS = 16
+
+
+class OrchestratorSettings(Settings):
+    """Where the orchestrator listens and what it uses.
+
+    Attributes:
+        host, port: of the HTTP server; port 0 takes a free one. A host beyond loopback needs `token`.
+        token: bearer token that every request must carry.
+        planner, tracker: ZeroMQ endpoints of the services.
+        planner_plugin, tracker_plugin: which plug-ins to use; None for the services' defaults.
+        data_dir: database and recordings.
+        curve_dir: folder of CURVE keys, for services on other machines.
+        connect_timeout_s: how long to wait for the services at the start.
+        max_running: characters and episodes at once.
+    """
+
+    env_prefix: ClassVar[str] = "MOTIONLOOP_"
+
+    host: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=0, le=65535)] = 8080
+    token: SecretStr | None = None
+    planner: str = "tcp://127.0.0.1:5601"
+    tracker: str = "tcp://127.0.0.1:5602"
+    planner_plugin: str | None = None
+    tracker_plugin: str | None = None
+    data_dir: Path = Path("out/data")
+    curve_dir: Path | None = Field(default_factory=curve_dir_from_environment)
+    connect_timeout_s: Annotated[float, Field(gt=0, le=600)] = 60.0
+    max_running: Annotated[int, Field(ge=1, le=1000)] = 64
+
+    @model_validator(mode="after")
+    def _no_open_door(self) -> OrchestratorSettings:
+        if not _is_loopback(self.host) and self.token is None:
+            raise ValueError(
+                f"host {self.host} can be reached from other machines: set MOTIONLOOP_TOKEN to a bearer token, "
+                "or listen on 127.0.0.1"
+            )
+        if self.token is not None and len(self.token.get_secret_value()) < TOKEN_CHARS:
+            raise ValueError(f"the token must have at least {TOKEN_CHARS} characters")
+        return self
+
+
+def _is_loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,104 @@
+"""What the commands share: console, errors for people, where the server is, provenance of numbers."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from orchestrator.client import MotionLoopClient
+from shared.errors import MotionLoopError
+
+console = Console(stderr=True)
+
+Url = Annotated[str, typer.Option(envvar="MOTIONLOOP_URL", help="server to talk to")]
+Token = Annotated[str | None, typer.Option(envvar="MOTIONLOOP_TOKEN", help="bearer token of the server")]
+JsonFile = Annotated[Path | None, typer.Option("--json", help="write the result to this file")]
+DEFAULT_URL = "http://127.0.0.1:8080"
+
+
+@contextmanager
+def for_people() -> Iterator[None]:
+    """Print our own errors as one clear line and exit with 1."""
+    try:
+        yield
+    except MotionLoopError as error:
+        where = f" in {error.field}" if error.field else ""
+        allowed = f"\n  allowed: {error.allowed}" if error.allowed else ""
+        line = escape(f"{error.code}{where}: {error.message}{allowed}")
+        console.print(f"[red]{line}[/red]", highlight=False, soft_wrap=True)
+        raise typer.Exit(1) from error
+
+
+@contextmanager
+def client(url: str, token: str | None) -> Iterator[MotionLoopClient]:
+    """A client, with errors printed for people."""
+    with for_people(), MotionLoopClient(url, token) as opened:
+        yield opened
+
+
+@contextmanager
+def ending_on_sigterm() -> Iterator[None]:
+    """Within it SIGTERM unwinds as Ctrl-C does, so that services end and temporary folders go; exit code 143."""
+
+    def unwind(number: int, frame: object) -> None:
+        raise SystemExit(128 + number)
+
+    before = signal.signal(signal.SIGTERM, unwind)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def provenance(seed: int | None = None) -> dict[str, Any]:
+    """What a number was made with and on."""
+    return {
+        "command": " ".join(["motionloop", *sys.argv[1:]]),
+        "seed": seed,
+        "commit": _commit(),
+        "machine": {
+            "cpu": _cpu(),
+            "cores": os.cpu_count(),
+            "python": platform.python_version(),
+            "system": platform.platform(),
+        },
+    }
+
+
+def write_json(path: Path | None, result: dict[str, Any]) -> None:
+    """Print the result, and write it where it was asked for."""
+    text = json.dumps(result, indent=2)
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text + "\n")
+        console.print(f"written: {path}")
+    sys.stdout.write(text + "\n")
+
+
+def _commit() -> str | None:
+    here = Path(__file__).resolve().parent
+    done = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], cwd=here, capture_output=True, text=True, check=False
+    )  # fmt: skip
+    return done.stdout.strip() or None
+
+
+def _cpu() -> str:
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        for line in info.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor()

@@ -1,0 +1,42 @@
+"""Commands that belong to a service's own training package: run as modules, with their own options."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import typer
+
+from orchestrator.cli.common import console
+
+PASS_THROUGH = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
+"""Typer context in which every option goes through to the module."""
+
+
+def run_module(module: str, arguments: Sequence[str]) -> None:
+    """`python -m module arguments`; exits with its code."""
+    _check_installed(module)
+    try:
+        code = subprocess.run([sys.executable, "-m", module, *arguments], check=False).returncode
+    except KeyboardInterrupt:
+        code = 130
+    raise typer.Exit(code)
+
+
+def module_json(module: str, arguments: Sequence[str]) -> dict[str, Any]:
+    """What `python -m module arguments` prints, a JSON object; exits with its code where it fails."""
+    _check_installed(module)
+    done = subprocess.run([sys.executable, "-m", module, *arguments], check=False, stdout=subprocess.PIPE, text=True)
+    if done.returncode:
+        raise typer.Exit(done.returncode)
+    return dict(json.loads(done.stdout))
+
+
+def _check_installed(module: str) -> None:
+    if importlib.util.find_spec(module.partition(".")[0]) is None or importlib.util.find_spec(module) is None:
+        console.print(f"[red]{module} is not installed[/red]; try: pip install 'motionloop\\[all]'")
+        raise typer.Exit(2)

@@ -1,0 +1,185 @@
+"""`motionloop eval ...`, `motionloop bench ...`: start the services, measure, write JSON."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from orchestrator.cli.common import JsonFile, console, for_people, provenance, write_json
+from orchestrator.cli.delegate import PASS_THROUGH, module_json, run_module
+from orchestrator.core.services import Services, connect
+from orchestrator.core.supervise import Stack, StackOptions
+from orchestrator.evaluation import bench as benches
+from orchestrator.evaluation.tasks import evaluate_tasks
+from orchestrator.evaluation.text import evaluate_text
+
+evaluate = typer.Typer(no_args_is_help=True, help="Measure how well it works.")
+bench = typer.Typer(no_args_is_help=True, help="Measure how fast it is.")
+
+Planner = Annotated[str | None, typer.Option(help="planner plug-in")]
+Tracker = Annotated[str | None, typer.Option(help="tracker plug-in")]
+Threads = Annotated[int, typer.Option(help="CPU threads of the planner")]
+Job = Callable[[Services, Stack], Awaitable[dict[str, Any]]]
+
+
+def with_services(job: Job, planner: str | None, tracker: str | None, threads: int) -> dict[str, Any]:
+    """Run a measurement over a planner and a tracker of its own; adds what they were."""
+    stack = Stack(
+        StackOptions(planner_args=("--threads", str(threads)), tracker_args=("--max-characters", "64")), console.print
+    )
+
+    async def run() -> dict[str, Any]:
+        endpoints = stack.start_services()
+        services = Services(
+            await connect(endpoints[0], "planner", planner), await connect(endpoints[1], "tracker", tracker)
+        )
+        try:
+            result = await job(services, stack)
+            return {
+                **result,
+                "planner": services.planner.spec(),
+                "tracker": services.tracker.spec(),
+                "planner_threads": threads,
+            }
+        finally:
+            await services.close()
+
+    try:
+        with for_people():
+            return asyncio.run(run())
+    finally:
+        stack.stop()
+
+
+class _Bar:
+    """A progress bar whose description says how it is going."""
+
+    def __init__(self, what: str):
+        self._what = what
+        self._good = 0
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        self._progress = Progress(*columns, console=console)
+        self._task = self._progress.add_task(what, total=None)
+
+    def __enter__(self) -> _Bar:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def update(self, done: int, total: int, row: dict[str, Any]) -> None:
+        self._good += bool(row.get("strict", row.get("obeyed")))
+        text = f"{self._what}: {self._good} good"
+        self._progress.update(self._task, completed=done, total=total, description=text)
+
+
+@evaluate.command("tasks")
+def eval_tasks(
+    tasks: Annotated[str, typer.Option(help="task names with commas")] = "reach",
+    episodes: Annotated[int, typer.Option(min=1)] = 20,
+    seed: int = 1,
+    variant: Annotated[str, typer.Option(help="closed_loop, open_loop, paper, short or long")] = "closed_loop",
+    parallel: Annotated[int, typer.Option(min=1, max=64, help="episodes at once")] = 8,
+    threads: Threads = 1,
+    planner: Planner = None,
+    tracker: Tracker = None,
+    resume: Annotated[Path | None, typer.Option(help="JSON lines of finished episodes, to go on from")] = None,
+    json: JsonFile = None,
+) -> None:
+    """Success rates of tasks (strict, paper, code) with a Wilson interval."""
+    names = [name.strip() for name in tasks.split(",") if name.strip()]
+    with _Bar("episodes") as bar:
+        result = with_services(
+            lambda services, stack: evaluate_tasks(
+                services, names, episodes, seed, variant, parallel, planner, tracker, resume, bar.update
+            ),
+            planner, tracker, threads,
+        )  # fmt: skip
+    write_json(json, {**result, **provenance(seed)})
+
+
+@evaluate.command("text")
+def eval_text(
+    minutes: Annotated[float, typer.Option(min=0.05)] = 10.0,
+    seed: int = 1,
+    every_s: Annotated[float, typer.Option(min=1.0, help="a new command every so many seconds")] = 5.0,
+    parallel: Annotated[int, typer.Option(min=1, max=64, help="characters that share the time")] = 4,
+    threads: Threads = 1,
+    planner: Planner = None,
+    tracker: Tracker = None,
+    json: JsonFile = None,
+) -> None:
+    """How many text commands are obeyed, and how often it falls."""
+    with _Bar("commands") as bar:
+        result = with_services(
+            lambda services, stack: evaluate_text(
+                services, minutes, seed, every_s, parallel, planner, tracker, progress=bar.update
+            ),
+            planner, tracker, threads,
+        )  # fmt: skip
+    write_json(json, {**result, **provenance(seed)})
+
+
+@evaluate.command("tracker", context_settings=PASS_THROUGH)
+def eval_tracker(context: typer.Context) -> None:
+    """How well clips are tracked; options as of `python -m tracker_service.training.evaluate_clips`."""
+    run_module("tracker_service.training.evaluate_clips", context.args)
+
+
+@evaluate.command("planner", context_settings=PASS_THROUGH)
+def eval_planner(context: typer.Context) -> None:
+    """Quality of plans; options as of `python -m planner_service.training.evaluate`."""
+    run_module("planner_service.training.evaluate", context.args)
+
+
+@bench.command("loop")
+def bench_loop(
+    characters: Annotated[int, typer.Option(min=1, max=32)] = 1,
+    seconds: Annotated[float, typer.Option(min=1.0)] = 60.0,
+    seed: int = 1,
+    threads: Threads = 1,
+    planner: Planner = None,
+    tracker: Tracker = None,
+    json: JsonFile = None,
+) -> None:
+    """Realtime: missed ticks, late plans, how soon a command shows."""
+    with console.status("running ...") as status:
+        result = with_services(
+            lambda services, stack: benches.bench_loop(
+                services, characters, seconds, seed, planner, tracker, lambda line: status.update(line)
+            ),
+            planner, tracker, threads,
+        )  # fmt: skip
+    write_json(json, {**result, **provenance(seed)})
+
+
+@bench.command("planner")
+def bench_planner(
+    repeats: Annotated[int, typer.Option(min=1)] = 5, threads: Threads = 1, seed: int = 1, json: JsonFile = None
+) -> None:
+    """Time of a plan, for every planner there is."""
+    result = with_services(
+        lambda services, stack: benches.bench_planner(services, stack.planner.pid, repeats), None, None, threads
+    )
+    write_json(json, {**result, **provenance(seed)})
+
+
+@bench.command("tracker")
+def bench_tracker(seconds: float = 10.0, seed: int = 1, json: JsonFile = None) -> None:
+    """Time of a control tick, in process and, for every tracker there is, over the wire."""
+    wire = with_services(lambda services, stack: benches.bench_tracker(services, seconds), None, None, 1)
+    in_process = module_json("tracker_service.training.bench", ["--seed", str(seed)])
+    write_json(json, {**in_process, **wire, **provenance(seed)})
+
+
+@bench.command("transport")
+def bench_transport(repeats: int = 300, seed: int = 1, json: JsonFile = None) -> None:
+    """Round trips of the protocol."""
+    result = with_services(lambda services, stack: benches.bench_transport(services, repeats), None, None, 1)
+    write_json(json, {**result, **provenance(seed)})

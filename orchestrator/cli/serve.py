@@ -1,0 +1,52 @@
+"""`motionloop serve`: one service, or all three under supervision."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from types import FrameType
+
+from rich.console import Console
+
+from orchestrator.core.supervise import Stack, StackOptions
+
+MODULES = {"planner": "planner_service", "tracker": "tracker_service", "orchestrator": "orchestrator"}
+LOOK_S = 0.5
+
+
+class _Stop(Exception):
+    """A signal asks to end."""
+
+
+def _stop(signum: int, frame: FrameType | None) -> None:
+    raise _Stop
+
+
+def serve_one(name: str, arguments: list[str]) -> int:
+    """Run one service in this terminal, with its own arguments; signals reach it too."""
+    try:
+        return subprocess.run([sys.executable, "-m", MODULES[name], *arguments], check=False).returncode
+    except KeyboardInterrupt:
+        return 0
+
+
+def serve_all(options: StackOptions, console: Console) -> int:
+    """Run all three until SIGTERM or Ctrl-C (0), or until one ends by itself (1); none is left behind."""
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, _stop)
+    stack = Stack(options, console.print)
+    try:
+        url = stack.start()
+        console.print(f"[bold]{url}[/bold]  API: {url}/docs  (Ctrl-C ends all)")
+        while not (dead := stack.dead()):
+            time.sleep(LOOK_S)
+        console.print(f"[red]{', '.join(dead)} ended; stopping the others[/red]")
+        return 1
+    except _Stop:
+        return 0
+    finally:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, signal.SIG_IGN)
+        stack.stop()

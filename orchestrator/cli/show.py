@@ -1,0 +1,57 @@
+"""Episodes on the terminal: live progress and the table at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from rich.console import Console
+from rich.table import Table
+
+from orchestrator.client import EpisodeInfo, EventInfo
+
+
+def follow(events: Iterable[EventInfo], console: Console) -> None:
+    """Print what happens until the events end: one live line of progress, and lines that stay for what matters."""
+    with console.status("starting ...") as status:
+        task = ""
+        for event in events:
+            data = event.data
+            seconds = event.tick / 30
+            if event.type == "task_begin":
+                task = str(data["label"])
+                console.print(f"[dim]{seconds:6.1f} s[/dim]  {task}")
+            elif event.type == "task_end":
+                mark = "[green]ok[/green]" if data["success_strict"] else f"[red]{data['reason']}[/red]"
+                console.print(f"[dim]{seconds:6.1f} s[/dim]    {mark} after {data['seconds']:.1f} s")
+            elif event.type == "progress":
+                place = f"at ({data['x_m']:+.2f}, {data['y_m']:+.2f}) m"
+                error = f"tracking error {1000 * data['tracking_error_m']:.0f} mm"
+                status.update(f"{seconds:6.1f} s  {task}: {place}, {error}")
+            elif event.type in _SAID:
+                console.print(f"[dim]{seconds:6.1f} s[/dim]    {_SAID[event.type](data)}", highlight=False)
+
+
+def _reason(words: str) -> Callable[[dict[str, object]], str]:
+    return lambda data: f"[yellow]{words}[/yellow]: {data.get('reason')}"
+
+
+_SAID: dict[str, Callable[[dict[str, object]], str]] = {
+    "planner_lost": _reason("the planner is away"),
+    "planner_back": lambda data: "[green]the planner is back[/green]",
+    "recording_failed": _reason("recording failed"),
+    "reset": lambda data: "[yellow]stood up again[/yellow]",
+    "swap": lambda data: f"{data.get('service')} is now {data.get('plugin')}",
+    "end": lambda data: f"[bold]{data.get('status')}[/bold]" + (f": {data['reason']}" if data.get("reason") else ""),
+}
+
+
+def table(episode: EpisodeInfo) -> Table:
+    """One row a task."""
+    out = Table(title=f"episode {episode.status}")
+    for column, justify in (("task", "left"), ("strict", "center"), ("seconds", "right"), ("measured", "left")):
+        out.add_column(column, justify=justify)  # type: ignore[arg-type]
+    for result in episode.results:
+        measured = ", ".join(f"{name} {value:.2f}" for name, value in result.measures.items())
+        strict = "[green]yes[/green]" if result.success_strict else f"[red]no[/red] ({result.reason})"
+        out.add_row(result.name, strict, f"{result.seconds:.1f}", measured)
+    return out

@@ -1,0 +1,279 @@
+"""Everything that runs: characters, episodes and the services they run on."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import uuid
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from orchestrator.core.character import CharacterSession, CharacterSpec
+from orchestrator.core.drivers import Cycle
+from orchestrator.core.episode import EpisodeOutcome, EpisodeRunner, EpisodeSpec
+from orchestrator.core.events import Event, EventLog
+from orchestrator.core.fanout import Fanout
+from orchestrator.core.services import Services, Slot
+from orchestrator.core.swap import check_spec, swap
+from orchestrator.store.database import Store
+from orchestrator.store.recordings import RecordingFiles, write_atomically
+from shared.errors import ConflictError, InvalidInputError, MotionLoopError, NotFoundError, OverloadedError
+from shared.protocol.messages import CloseCharacter, Ok, Render, StateFrame, Video
+from shared.protocol.security import CurveKeys
+from shared.protocol.transport import Kind
+
+log = logging.getLogger(__name__)
+
+PART_TICKS = 600
+KEPT_FOR_VIDEO = 8
+RENDER_TIMEOUT_S = 900.0
+
+
+class LiveEpisode:
+    """An episode that runs, or has just ended and whose character is still there to be filmed."""
+
+    def __init__(self, runner: EpisodeRunner):
+        self.runner = runner
+        self.states: Fanout[StateFrame] = Fanout()
+        self.outcome: EpisodeOutcome | None = None
+        self.task: asyncio.Task[None] | None = None
+        self.recorded_to = 0
+
+
+class Orchestrator:
+    """Makes, finds and ends characters and episodes.
+
+    Args:
+        services: planner and tracker to start with.
+        store: where everything is kept.
+        max_running: characters and episodes that may run at once; more are refused as overloaded.
+        curve: keys for services on other machines.
+    """
+
+    def __init__(self, services: Services, store: Store, max_running: int = 64, curve: CurveKeys | None = None):
+        self.services = services
+        self.store = store
+        self.files = RecordingFiles(store.recordings)
+        self.characters: dict[str, CharacterSession] = {}
+        self.episodes: dict[str, LiveEpisode] = {}
+        self._max_running = max_running
+        self._curve = curve
+        self._retired: list[Slot] = []
+        self._video_lock = asyncio.Lock()
+
+    def recover(self) -> list[str]:
+        """After a start: mark what a killed process left running, and join the recordings it left in parts."""
+        interrupted = self.store.mark_interrupted()
+        for episode_id in self.files.unfinished():
+            self.files.finish(episode_id)
+        return interrupted
+
+    async def close(self) -> None:
+        """End everything: episodes are cancelled, characters closed, the store written."""
+        live = list(self.episodes.values())
+        for episode in live:
+            episode.runner.cancel()
+        tasks = [episode.task for episode in live if episode.task is not None]
+        if tasks:
+            _, late = await asyncio.wait(tasks, timeout=10.0)
+            for task in late:
+                task.cancel()
+            await asyncio.gather(*late, return_exceptions=True)
+        for character in list(self.characters.values()):
+            await character.close()
+            self.store.character_ended(character.character_id, "closed")
+        for slot in self._retired:
+            await slot.client.close()
+        await self.services.close()
+        await asyncio.to_thread(self.store.close)
+
+    # --- characters ---
+
+    async def create_character(self, spec: CharacterSpec) -> CharacterSession:
+        """Make a character and let it run."""
+        self._check_room()
+        self._check_plugins(spec.planner, spec.tracker)
+        character_id = str(uuid.uuid4())
+        session = CharacterSession(character_id, spec, self.services, EventLog(self._sink(character_id)))
+        self.store.character_started(character_id, spec.model_dump(mode="json"))
+        try:
+            await session.start()
+        except MotionLoopError:
+            self.store.character_ended(character_id, "failed")
+            raise
+        self.characters[character_id] = session
+        return session
+
+    def character(self, character_id: str) -> CharacterSession:
+        """A running character; raises NotFoundError."""
+        if character_id not in self.characters:
+            raise NotFoundError(f"there is no character {character_id}", field="id")
+        return self.characters[character_id]
+
+    async def delete_character(self, character_id: str) -> None:
+        """End a character."""
+        session = self.character(character_id)
+        del self.characters[character_id]
+        await session.close()
+        self.store.character_ended(character_id, "closed")
+
+    # --- episodes ---
+
+    def start_episode(self, spec: EpisodeSpec) -> str:
+        """Start an episode in the background; returns its id."""
+        self._check_room()
+        self._check_plugins(spec.planner, spec.tracker)
+        episode_id = str(uuid.uuid4())
+        events = EventLog(self._sink(episode_id))
+        live: LiveEpisode
+        runner = EpisodeRunner(episode_id, spec, self.services, events, lambda cycle: self._after_cycle(live, cycle))
+        live = LiveEpisode(runner)
+        self.episodes[episode_id] = live
+        self.store.episode_started(episode_id, spec, self.service_report())
+        live.task = asyncio.create_task(self._run(live), name=f"episode-{episode_id}")
+        return episode_id
+
+    def live_episode(self, episode_id: str) -> LiveEpisode | None:
+        """The episode, if it runs or has just ended."""
+        return self.episodes.get(episode_id)
+
+    async def cancel_or_delete_episode(self, episode_id: str) -> str:
+        """Cancel a running episode (`cancelled`), or delete one that is over (`deleted`)."""
+        live = self.episodes.get(episode_id)
+        if live is not None and live.outcome is None:
+            live.runner.cancel()
+            return "cancelled"
+        self.store.episode(episode_id)
+        if live is not None:
+            await self._let_go(episode_id)
+        self.store.delete_episode(episode_id)
+        self.files.delete(episode_id)
+        return "deleted"
+
+    async def video(self, episode_id: str) -> bytes:
+        """The episode as MP4, rendered by the tracker once and kept.
+
+        Raises ConflictError while it runs, or when its character is gone and no video was made.
+        """
+        path = self.files.path(episode_id, ".mp4")
+        async with self._video_lock:
+            if path.exists():
+                return await asyncio.to_thread(path.read_bytes)
+            live = self.episodes.get(episode_id)
+            if live is None:
+                self.store.episode(episode_id)
+                raise ConflictError(
+                    "the character of this episode is gone, it can no longer be filmed",
+                    field="id",
+                    allowed=f"one of the last {KEPT_FOR_VIDEO} episodes",
+                )
+            if live.outcome is None:
+                raise ConflictError("the episode is still running", field="id")
+            captions = [(r.start_tick, r.label) for r in live.outcome.results]
+            request = Render(start_tick=0, stop_tick=live.runner.tick or None, captions=captions)
+            video = await live.runner.loop.ask_tracker(Video, request, RENDER_TIMEOUT_S)
+            live.runner.events.emit("video", live.runner.tick, renderer=video.renderer, note=video.note)
+            data = np.asarray(video.mp4, dtype=np.uint8).tobytes()
+            await asyncio.to_thread(write_atomically, path, data)
+            return data
+
+    # --- services ---
+
+    def service_report(self) -> dict[str, Any]:
+        """What is in the slots."""
+        return {
+            kind: {
+                "endpoint": slot.endpoint,
+                "version": slot.welcome.version,
+                "plugin": slot.plugin_name,
+                "spec": slot.spec(),
+                "plugins": [str(p.get("name")) for p in slot.welcome.plugins],
+            }
+            for kind, slot in (("planner", self.services.planner), ("tracker", self.services.tracker))
+        }
+
+    async def swap(self, kind: Kind, endpoint: str | None, plugin: str | None) -> dict[str, Any]:
+        """Hot swap; running characters take the new one up at their next plan. Raises, changing nothing, if unfit."""
+        old = await swap(self.services, kind, endpoint, plugin, self._curve)
+        new = self.services.planner if kind == "planner" else self.services.tracker
+        if old.client is not new.client:
+            self._retired.append(old)  # requests under way still use it
+        said = {"service": kind, "endpoint": new.endpoint, "plugin": new.plugin_name}
+        for session in self.characters.values():
+            session.events.emit("swap", session.state.tick, **said)
+        for live in self.episodes.values():
+            if live.outcome is None:
+                live.runner.events.emit("swap", live.runner.tick, **said)
+        return dict(self.service_report()[kind])
+
+    # --- inside ---
+
+    def _sink(self, owner: str) -> Callable[[Event], None]:
+        return partial(self.store.event, owner)
+
+    def _check_room(self) -> None:
+        running = len(self.characters) + sum(1 for e in self.episodes.values() if e.outcome is None)
+        if running >= self._max_running:
+            raise OverloadedError(f"{running} characters are running already", allowed=f"at most {self._max_running}")
+
+    def _check_plugins(self, planner: str | None, tracker: str | None) -> None:
+        for field, name, slot in (
+            ("planner", planner, self.services.planner),
+            ("tracker", tracker, self.services.tracker),
+        ):
+            if name is not None and not slot.spec(name):
+                offered = ", ".join(str(p.get("name")) for p in slot.welcome.plugins)
+                raise InvalidInputError(f"the {field} service has no {name!r}", field=field, allowed=offered)
+        check_spec(self.services.planner)
+
+    async def _run(self, live: LiveEpisode) -> None:
+        runner = live.runner
+        try:
+            outcome = await runner.run()
+        except Exception as error:  # a bug must not leave an episode that never ends
+            log.exception("episode %s broke", runner.episode_id)
+            outcome = EpisodeOutcome(
+                status="failed", reason=f"internal: {type(error).__name__}: {error}", success=False,
+                results=runner.results, ticks=runner.tick, plans=runner.loop.plans_made, missed_ticks=0,
+            )  # fmt: skip
+        await self._record(live, runner.tick + 1)
+        await asyncio.to_thread(self.files.finish, runner.episode_id)
+        live.outcome = outcome
+        self.store.episode_ended(runner.episode_id, outcome)
+        runner.events.emit("end", runner.tick, status=outcome.status, success=outcome.success, reason=outcome.reason)
+        runner.events.close()
+        live.states.close()
+        over = [key for key, episode in self.episodes.items() if episode.outcome is not None]
+        for episode_id in over[:-KEPT_FOR_VIDEO]:
+            await self._let_go(episode_id)
+
+    async def _after_cycle(self, live: LiveEpisode, cycle: Cycle) -> None:
+        live.states.publish(cycle.state)
+        if cycle.state.tick + 1 - live.recorded_to >= PART_TICKS:
+            await self._record(live, cycle.state.tick + 1)
+
+    async def _record(self, live: LiveEpisode, stop_tick: int) -> None:
+        """Fetch and keep the ticks up to `stop_tick`; what cannot be fetched or written now is tried again later."""
+        runner = live.runner
+        if not runner.created:
+            return
+        while live.recorded_to < stop_tick:
+            stop = min(live.recorded_to + PART_TICKS, stop_tick)
+            try:
+                part = await runner.loop.ticks(live.recorded_to, stop, 30, reference=True)
+                await asyncio.to_thread(self.files.add_part, runner.episode_id, part)
+            except (MotionLoopError, OSError) as error:
+                runner.events.emit("recording_failed", runner.tick, reason=str(error))
+                return
+            live.recorded_to = stop
+
+    async def _let_go(self, episode_id: str) -> None:
+        live = self.episodes.pop(episode_id)
+        if live.runner.created:
+            try:
+                await live.runner.loop.ask_tracker(Ok, CloseCharacter())
+            except MotionLoopError as error:
+                log.warning("the character of episode %s could not be closed: %s", episode_id, error)

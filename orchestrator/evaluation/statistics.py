@@ -1,0 +1,27 @@
+"""Small statistics of the evaluations."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+Z_95 = 1.959964
+
+
+def wilson(successes: int, n: int, z: float = Z_95) -> tuple[float, float]:
+    """Wilson score interval of a proportion (Wilson 1927); (0, 1) for n = 0."""
+    if n == 0:
+        return 0.0, 1.0
+    p = successes / n
+    middle = p + z * z / (2 * n)
+    half = z * sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+    scale = 1 + z * z / n
+    return max(0.0, (middle - half) / scale), min(1.0, (middle + half) / scale)
+
+
+def percentiles(values: npt.ArrayLike, *which: float) -> dict[str, float | None]:
+    """{"p50": ..., "p95": ...}; None where there are no values."""
+    a = np.asarray(values, dtype=np.float64)
+    return {f"p{q:g}": round(float(np.percentile(a, q)), 2) if a.size else None for q in which}

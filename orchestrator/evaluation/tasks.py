@@ -1,0 +1,152 @@
+"""`eval tasks`: episodes of one task each, many at a time, in lockstep over the real services."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import uuid
+from collections.abc import Callable, Sequence
+from math import pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orchestrator.core.episode import EpisodeOutcome, EpisodeRunner, EpisodeSpec, task_seed
+from orchestrator.core.events import EventLog
+from orchestrator.core.services import Services
+from orchestrator.core.settings import VARIANTS
+from orchestrator.evaluation.statistics import wilson
+from shared.errors import InvalidInputError
+from shared.protocol.messages import CloseCharacter, Ok
+from shared.tasks.factory import BUILT_IN
+
+Progress = Callable[[int, int, dict[str, Any]], None]
+"""Called with episodes done, episodes in all, and the newest row."""
+
+TASKS: dict[str, dict[str, Any]] = {
+    "reach": {"type": "reach"},
+    "halt": {"type": "halt"},
+    "text": {"type": "text", "text": "a person is walking forward."},
+}
+
+
+def episode_spec(
+    task: str, index: int, seed: int, variant: str, planner: str | None, tracker: str | None
+) -> EpisodeSpec:
+    """Episode `index` of a task: its own seed and start heading, the same for every variant."""
+    if task not in TASKS:
+        raise InvalidInputError(f"unknown task {task!r}", field="tasks", allowed=", ".join(BUILT_IN))
+    if variant not in VARIANTS:
+        raise InvalidInputError(f"unknown variant {variant!r}", field="variant", allowed=", ".join(VARIANTS))
+    own = task_seed(seed, index)
+    heading = float(np.random.default_rng(own).uniform(-pi, pi))
+    return EpisodeSpec.model_validate(
+        {
+            "tasks": [TASKS[task]],
+            "seed": own,
+            "pacing": "lockstep",
+            "heading_rad": heading,
+            "loop": VARIANTS[variant],
+            "planner": planner,
+            "tracker": tracker,
+        }
+    )
+
+
+async def run_one(spec: EpisodeSpec, services: Services) -> EpisodeOutcome:
+    """Run an episode and close its character."""
+    runner = EpisodeRunner(str(uuid.uuid4()), spec, services, EventLog())
+    outcome = await runner.run()
+    if runner.created and outcome.reason is None:
+        await runner.loop.ask_tracker(Ok, CloseCharacter())
+    return outcome
+
+
+async def evaluate_tasks(
+    services: Services,
+    tasks: Sequence[str],
+    episodes: int,
+    seed: int,
+    variant: str = "closed_loop",
+    parallel: int = 8,
+    planner: str | None = None,
+    tracker: str | None = None,
+    resume: Path | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Success of each task over `episodes` episodes.
+
+    Args:
+        resume: JSON lines file of finished episodes; those in it are not run again, new ones are added.
+
+    Returns:
+        {"tasks": {name: {n, success_strict, success_paper, success_code, ci95, falls, median_time_s, failures}}}.
+    """
+    wanted = [(task, index) for task in tasks for index in range(episodes)]
+    specs = {key: episode_spec(*key, seed, variant, planner, tracker) for key in wanted}
+    rows = {key: row for key, row in _done(resume, seed, variant).items() if key in specs}
+    gate = asyncio.Semaphore(parallel)
+
+    async def one(key: tuple[str, int]) -> None:
+        async with gate:
+            outcome = await run_one(specs[key], services)
+        row = _row(key, seed, variant, outcome)
+        rows[key] = row
+        if resume is not None:
+            resume.parent.mkdir(parents=True, exist_ok=True)
+            with resume.open("a") as file:
+                file.write(json.dumps(row) + "\n")
+        if progress is not None:
+            progress(len(rows), len(wanted), row)
+
+    async with asyncio.TaskGroup() as group:
+        for key in wanted:
+            if key not in rows:
+                group.create_task(one(key))
+    return {"tasks": {task: summary([rows[task, i] for i in range(episodes)]) for task in tasks}, "variant": variant}
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Rates with a Wilson interval on the strict one, and what went wrong."""
+    n = len(rows)
+    strict = sum(row["strict"] for row in rows)
+    times = [row["seconds"] for row in rows if row["strict"]]
+    low, high = wilson(strict, n)
+    return {
+        "n": n,
+        "success_strict": strict / n,
+        "success_paper": sum(row["paper"] for row in rows) / n,
+        "success_code": sum(row["code"] for row in rows) / n,
+        "ci95": [round(low, 4), round(high, 4)],
+        "falls": sum(row["fell"] for row in rows),
+        "median_time_s": float(np.median(times)) if times else None,
+        "failures": [{key: row[key] for key in ("index", "reason", "measures")} for row in rows if not row["strict"]],
+    }
+
+
+def _row(key: tuple[str, int], seed: int, variant: str, outcome: EpisodeOutcome) -> dict[str, Any]:
+    base = {"task": key[0], "index": key[1], "seed": seed, "variant": variant, "plans": outcome.plans}
+    if not outcome.results:
+        return {
+            **base, "strict": False, "paper": False, "code": False, "fell": False, "seconds": 0.0,
+            "reason": outcome.reason, "measures": {},
+        }  # fmt: skip
+    result = outcome.results[0]
+    return {
+        **base,
+        "strict": result.success_strict,
+        "paper": result.success_paper,
+        "code": result.success_code,
+        "fell": result.fell,
+        "seconds": result.seconds,
+        "reason": result.reason,
+        "measures": result.measures,
+    }
+
+
+def _done(path: Path | None, seed: int, variant: str) -> dict[tuple[str, int], dict[str, Any]]:
+    if path is None or not path.exists():
+        return {}
+    rows = [json.loads(line) for line in path.read_text().splitlines() if line.endswith("}")]
+    return {(row["task"], row["index"]): row for row in rows if row["seed"] == seed and row["variant"] == variant}

@@ -1,0 +1,66 @@
+"""Feet of a plan: held where the plan itself says that they stand, and not below the floor.
+
+Rebuilding a pose with exact bone lengths starts at the pelvis, so small errors of the legs end up in the feet. Here the
+ankles are put back to where the network wanted them, without the creeping of a foot in contact, by two-bone IK.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.data.limbs import solve_leg
+from shared.motion.clip import MotionClip
+from shared.motion.ik import clip_from_positions
+from shared.motion.skeleton import CANONICAL
+
+Array = npt.NDArray[np.float64]
+
+CONTACT = 0.5
+"""A predicted contact above this holds the foot."""
+MOST_HELD_M = 0.08
+"""A held foot is at most this far from where the network put it."""
+RELEASE = 0.6
+"""Share of that distance left one frame after the foot has let go."""
+SLACK = 0.99
+"""Share left a frame while the foot is held, so that a long stand does not end in a leap."""
+
+
+def held_offsets(feet_xy_m: Array, contact: npt.NDArray[np.bool_]) -> Array:
+    """(T, 2) what to add to a foot's path (T, 2) so that it stays put while in contact (T,).
+
+    Row 0 is the last frame of the prefix and is never moved.
+    """
+    offset = np.zeros_like(feet_xy_m)
+    for t in range(1, len(feet_xy_m)):
+        if contact[t] and contact[t - 1]:
+            kept = SLACK * offset[t - 1] + feet_xy_m[t - 1] - feet_xy_m[t]
+            offset[t] = kept * min(1.0, MOST_HELD_M / max(float(np.linalg.norm(kept)), 1e-9))
+        else:
+            offset[t] = RELEASE * offset[t - 1]
+    return offset
+
+
+def with_planted_feet(wanted_w_m: Array, contacts: Array, fps: float) -> MotionClip:
+    """The clip of a plan.
+
+    Args:
+        wanted_w_m: (T, 22, 3) positions as R2G gives them; row 0 is the last prefix frame.
+        contacts: (T, 4) predicted contact of left ankle, left toe, right ankle, right toe, about 0..1.
+        fps: rate of the frames.
+
+    Returns:
+        the T - 1 planned frames, bone lengths exact.
+    """
+    body = clip_from_positions(wanted_w_m, fps, rebuild=True).positions_w_m.copy()
+    for number, side in enumerate(("left", "right")):
+        ankle, toe = CANONICAL.index(f"{side}_ankle"), CANONICAL.index(f"{side}_foot")
+        stands = contacts[:, 2 * number : 2 * number + 2].max(-1) > CONTACT
+        target = wanted_w_m[:, ankle].copy()
+        target[:, :2] += held_offsets(target[:, :2], stands)
+        body = solve_leg(body, side, target)
+        sole = np.minimum(*(body[:, j, 2] - CANONICAL.rest_positions_m[j, 2] for j in (ankle, toe)))
+        lifted = body[:, ankle].copy()
+        lifted[:, 2] += np.maximum(-sole, 0.0)
+        body = solve_leg(body, side, lifted)
+    return clip_from_positions(body[1:], fps, rebuild=True)

@@ -1,0 +1,263 @@
+"""The plug-in `dip`: plan requests in, clips of exact bone lengths out.
+
+The prefix goes through the same G2R as in training, and targets are seen from the same frame, that of the last prefix
+frame (REFERENCE 4.3).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from pydantic import BaseModel, ConfigDict, Field
+from torch import Tensor
+
+from planner_service.dip.conditions import JOINT_SLOTS, TargetBatch
+from planner_service.dip.diffusion import cosine_schedule, sample
+from planner_service.dip.feet import with_planted_feet
+from planner_service.dip.network import with_bf16_blocks
+from planner_service.dip.weights import SHIPPED, DipWeights, load_weights
+from planner_service.text.encoder import CachedTextEncoder, TextEncoder, pad_tokens
+from planner_service.text.pretrained import minilm
+from shared.errors import InvalidInputError, SimulationError
+from shared.motion.features import (
+    CONTACTS,
+    RootState,
+    features_to_global,
+    global_to_features,
+    root_state,
+    to_root_frame,
+)
+from shared.motion.rotations import wrap_angle
+from shared.motion.skeleton import CANONICAL
+from shared.plugins.interfaces import PlannerSpec
+from shared.protocol.messages import PLANNER_FPS, TICK_HZ, Plan, PlanRequest
+
+Array = npt.NDArray[np.float64]
+VERSION = "1"
+
+
+class DipSettings(BaseModel):
+    """How requests are turned into conditions.
+
+    Attributes:
+        guidance: classifier-free guidance scale on the text, where a request gives none and has no target.
+        target_guidance: the same for requests with a target of a joint. Guidance pulls a plan toward what is typical
+            of its text and so away from its target; 1 is none (and half the work).
+        step_m: a target farther than this (on the floor, from the root) is moved toward the root: what running covers
+            in a full plan; proportionally less for earlier arrivals. Callers who want a natural walk hand over nearer
+            targets (REFERENCE 3: 1.2 m a plan).
+        bf16: multiply in bfloat16; None: where the CPU has instructions for it (plans differ by rounding).
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    guidance: float = Field(6.5, ge=0)
+    target_guidance: float = Field(1.0, ge=0)
+    step_m: float = Field(5.0, gt=0)
+    bf16: bool | None = None
+
+
+class DipPlanner:
+    """The diffusion planner.
+
+    Args:
+        weights: from `load_weights`.
+        encoder: the text encoder that the weights were trained with; cached here.
+        settings: see DipSettings.
+    """
+
+    def __init__(self, weights: DipWeights, encoder: TextEncoder, settings: DipSettings | None = None):
+        self._config = weights.network.config
+        self._normalizer = weights.normalizer
+        if encoder.spec.name != self._config.text_encoder:
+            raise InvalidInputError(
+                f"these weights do not fit the text encoder {encoder.spec.name!r}",
+                field="text_encoder",
+                allowed=self._config.text_encoder,
+            )
+        self._texts = CachedTextEncoder(encoder)
+        self._settings = settings or DipSettings()
+        wanted = self._settings.bf16
+        self._bf16 = torch.cpu._is_avx512_bf16_supported() if wanted is None else wanted
+        self._network = with_bf16_blocks(weights.network) if self._bf16 else weights.network
+        self._schedule = cosine_schedule(self._config.steps)
+        self._weights_id = weights.sha256[:12]
+        self._spec = PlannerSpec(
+            name="dip",
+            version=VERSION,
+            weights_sha256=weights.sha256,
+            skeleton=CANONICAL.id,
+            fps=PLANNER_FPS,
+            prefix_frames=self._config.prefix_frames,
+            plan_frames=self._config.plan_frames,
+            conditions=("text", "target", "heading"),
+        )
+
+    @classmethod
+    def load(cls, path: Path | None = None, settings: DipSettings | None = None) -> DipPlanner:
+        """With weights from a file (else the shipped ones) and MiniLM."""
+        return cls(load_weights(path or SHIPPED), minilm(), settings)
+
+    @property
+    def spec(self) -> PlannerSpec:
+        """What this planner is and takes."""
+        return self._spec
+
+    def plan(self, requests: list[PlanRequest]) -> list[Plan]:
+        """One plan for each request, in order.
+
+        Raises:
+            InvalidInputError: a prefix or horizon of the wrong length.
+            SimulationError: the network gave a plan that is not finite.
+        """
+        if not requests:
+            return []
+        for request in requests:
+            self._check(request)
+        began = time.monotonic()
+        prefixes = [
+            global_to_features(request.prefix_positions_w_m.astype(np.float64), PLANNER_FPS) for request in requests
+        ]
+        states = [root_state(request.prefix_positions_w_m[-1]) for request in requests]
+        targets, ignored = self._targets(requests, states)
+        encoded = time.monotonic()
+        text, mask = self._encode([request.text for request in requests])
+        embedded = time.monotonic()
+        prefix = self._normalizer.normalize(torch.from_numpy(np.stack(prefixes)).float())
+        guidance = [self._guidance(request) for request in requests]
+        noise = torch.stack([self._noise(r.seed) for r in requests], dim=1)
+        planned = self._denormalized(noise, prefix, targets, text, mask, torch.tensor(guidance))
+        sampled = time.monotonic()
+        plans = [
+            self._to_plan(request, features, prefixes[i], states[i], ignored[i])
+            for i, (request, features) in enumerate(zip(requests, planned, strict=True))
+        ]
+        timings = {
+            "features": (encoded - began) * 1e3,
+            "text": (embedded - encoded) * 1e3,
+            "diffusion": (sampled - embedded) * 1e3,
+            "decode": (time.monotonic() - sampled) * 1e3,
+        }
+        return [plan.model_copy(update={"timings_ms": timings}) for plan in plans]
+
+    def _guidance(self, request: PlanRequest) -> float:
+        if request.guidance is not None:
+            return request.guidance
+        return self._settings.target_guidance if request.targets else self._settings.guidance
+
+    def _check(self, request: PlanRequest) -> None:
+        want, most = self._config.prefix_frames, self._config.plan_frames
+        if len(request.prefix_positions_w_m) != want:
+            raise InvalidInputError(
+                f"the prefix has {len(request.prefix_positions_w_m)} frames",
+                field="prefix_positions_w_m",
+                allowed=f"{want} frames",
+            )
+        if request.horizon_frames > most:
+            raise InvalidInputError(
+                f"horizon of {request.horizon_frames} frames", field="horizon_frames", allowed=f"1..{most}"
+            )
+
+    def _encode(self, texts: Sequence[str | None]) -> tuple[Tensor, Tensor]:
+        """Padded token features (B, L, D) and mask (B, L); no tokens for None."""
+        nothing = np.zeros((0, self._config.text_dim), np.float32)
+        known = self._texts.encode([t for t in texts if t is not None])
+        found = iter(known)
+        features, mask = pad_tokens([nothing if t is None else next(found) for t in texts], self._config.text_dim)
+        return torch.from_numpy(features), torch.from_numpy(mask)
+
+    def _noise(self, seed: int) -> Tensor:
+        """(steps, N, F) of one request: its own generator, so that a batch does not change a plan."""
+        generator = torch.Generator().manual_seed(seed)
+        shape = (self._config.steps, self._config.plan_frames, self._config.features)
+        return torch.randn(shape, generator=generator)
+
+    def _denormalized(
+        self, noise: Tensor, prefix: Tensor, targets: Tensor, text: Tensor, mask: Tensor, guidance: Tensor
+    ) -> npt.NDArray[np.float64]:
+        """(B, N, F) features of guided samples; rows that need it run twice in one batch, with and without text."""
+        both = torch.nonzero(mask.any(-1) & (guidance != 1.0)).flatten()
+        rows = torch.cat([torch.arange(len(mask)), both])
+        all_mask = torch.cat([mask, torch.zeros_like(mask[both])])
+        all_prefix, all_targets, all_text = prefix[rows], targets[rows], text[rows]
+        scale = guidance[both][:, None, None]
+        with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, enabled=self._bf16):
+
+            def denoise(x: Tensor, step: Tensor) -> Tensor:
+                out: Tensor = self._network(x[rows], step[rows], all_prefix, all_targets, all_text, all_mask)
+                guided = out[: len(mask)].clone()
+                free = out[len(mask) :]
+                guided[both] = free + scale * (guided[both] - free)
+                return guided
+
+            planned = self._normalizer.denormalize(sample(self._schedule, denoise, noise))
+        return planned.double().numpy()
+
+    def _targets(self, requests: Sequence[PlanRequest], states: Sequence[RootState]) -> tuple[Tensor, list[list[str]]]:
+        """(B, TARGET_NUMBERS) and, for each request, the names of conditions that are not honoured."""
+        frames = self._config.plan_frames
+        batch = TargetBatch.none(len(requests), frames)
+        ignored: list[list[str]] = []
+        for row, (request, state) in enumerate(zip(requests, states, strict=True)):
+            unused = [name for name, given in (
+                ("velocity", request.desired_velocity_w_mps is not None),
+                ("keyframes", len(request.keyframe_ticks) > 0),
+            ) if given]  # fmt: skip
+            for target in request.targets:
+                if target.joint not in JOINT_SLOTS:
+                    unused.append(f"target:{target.joint}")
+                    continue
+                slot = JOINT_SLOTS.index(target.joint)
+                frame, share = self._arrival(request.start_tick, target.arrival_tick)
+                place = self._within_reach(to_root_frame(np.array(target.position_w_m), state), frame, share)
+                batch.position_m[row, slot] = torch.from_numpy(place)
+                batch.position_valid[row, slot] = True
+                batch.position_frame[row, slot] = frame
+            if request.heading is not None:
+                frame, share = self._arrival(request.start_tick, request.heading.arrival_tick)
+                turn = float(wrap_angle(request.heading.heading_rad - float(state.heading_rad)))
+                batch.heading_rad[row] = turn * share
+                batch.heading_valid[row] = True
+                batch.heading_frame[row] = frame
+            ignored.append(unused)
+        return batch.vector(frames), ignored
+
+    def _arrival(self, start_tick: int, arrival_tick: int) -> tuple[int, float]:
+        """Arrival frame within the plan, and the share of the way due by then: below 1 for arrivals beyond its end."""
+        wanted = (arrival_tick - start_tick) * PLANNER_FPS / TICK_HZ
+        frame = int(np.clip(round(wanted), self._config.first_arrival_frame, self._config.plan_frames))
+        return frame, min(1.0, self._config.plan_frames / max(wanted, 1.0))
+
+    def _within_reach(self, place_m: Array, frame: int, share: float) -> Array:
+        """A target (3,) in the root frame moved toward the root to what a plan can reach by `frame`."""
+        distance = float(np.linalg.norm(place_m[:2]))
+        reach = self._settings.step_m * frame / self._config.plan_frames
+        # Within arm's length nothing is scaled: the share is about going somewhere, not about where a hand strikes.
+        allowed = min(reach, max(distance * share, 1.0)) if share < 1.0 else reach
+        out = place_m.copy()
+        out[:2] *= min(1.0, max(allowed, 0.5) / max(distance, 1e-9))
+        return out
+
+    def _to_plan(
+        self, request: PlanRequest, planned: Array, prefix: Array, state: RootState, ignored: list[str]
+    ) -> Plan:
+        """World clip of one sample, its bones of exact length."""
+        features = np.concatenate([prefix[-1:], planned[: request.horizon_frames]])
+        if not np.isfinite(features).all():
+            raise SimulationError("the diffusion planner gave values that are not finite")
+        positions = features_to_global(features, PLANNER_FPS, state)
+        clip = with_planted_feet(positions, features[:, CONTACTS], PLANNER_FPS)
+        return Plan(
+            planner="dip",
+            weights_id=self._weights_id,
+            skeleton=CANONICAL.id,
+            start_tick=request.start_tick,
+            positions_w_m=clip.positions_w_m,
+            rotations_6d=clip.rotations_6d,
+            seed=request.seed,
+            ignored_conditions=ignored,
+        )

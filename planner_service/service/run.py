@@ -1,0 +1,37 @@
+"""The process of the planner service."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import signal
+import sys
+import threading
+from collections.abc import Sequence
+
+from planner_service.service.service import PlannerService
+from planner_service.service.settings import PlannerSettings
+from shared.errors import MotionLoopError
+from shared.settings import add_arguments, load_settings
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Serve until SIGTERM or SIGINT. Exit code: 0 after a signal, 2 when the service cannot start."""
+    parser = argparse.ArgumentParser(prog="planner_service", description="Serve planners over ZeroMQ.")
+    add_arguments(parser, PlannerSettings)
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    try:
+        settings = load_settings(PlannerSettings, vars(parser.parse_args(arguments)))
+        logging.basicConfig(level=settings.log_level.upper(), format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+        service = PlannerService(settings).start()
+    except MotionLoopError as error:
+        hint = f" (allowed: {error.allowed})" if error.allowed else ""
+        print(f"planner service cannot start: {error.field or 'error'}: {error.message}{hint}", file=sys.stderr)
+        return 2
+    print(f"planner ready at {service.endpoint} with {', '.join(service.plugins)}", flush=True)
+    while not stop.wait(1.0):
+        continue
+    service.stop()
+    return 0

@@ -1,0 +1,239 @@
+"""Training windows out of a corpus: drawn by weight, joined, bent, disturbed, with texts and targets."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from planner_service.text.encoder import TextEncoder, pad_tokens
+from planner_service.training.bending import bend, random_turns
+from planner_service.training.disturbance import disturb
+from planner_service.training.evidence import deed_ahead, plans_showing
+from planner_service.training.joins import JoinFinder, blend_frames, join
+from planner_service.training.windows import FPS, Features, repeat_first_rates, window_positions
+from shared.data.corpus import Corpus
+from shared.errors import InvalidInputError
+from shared.motion.features import global_to_features
+from shared.motion.resampling import resample
+
+Index = npt.NDArray[np.int64]
+
+JOINED_SHARE = 1 / 3
+OTHER_BEHAVIOUR_SHARE = 0.85
+"""Of the joined windows, how many change the behaviour; the rest join two clips of the same one."""
+DISTURBED_SHARE = 0.5
+JOIN_SPREAD = 6
+"""The joint lies within this many frames of the end of the prefix."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """Features of all clips at 20 fps, one after another.
+
+    Attributes:
+        features: (N, 263); clip: (N,) clip of each frame.
+        start, length: (C,) rows of each clip; weight: (C,) share of samples, sums to 1; behaviour: (C,) number.
+        behaviours: names. texts: sentences of each clip as rows of `sentences`.
+    """
+
+    features: Features
+    clip: Index
+    start: Index
+    length: Index
+    weight: npt.NDArray[np.float64]
+    behaviour: Index
+    behaviours: tuple[str, ...]
+    texts: tuple[tuple[int, ...], ...]
+    sentences: tuple[str, ...]
+
+
+def load_material(corpus: Corpus, split: str, frames: int, cache: Path | None = None) -> Material:
+    """The clips of a split that are at least `frames` long at 20 fps, as features.
+
+    Args:
+        corpus: where from.
+        split: `train` or `heldout`.
+        frames: shorter clips are left out.
+        cache: folder to keep the features in (they take minutes); found again by the corpus' manifest.
+
+    Raises:
+        InvalidInputError: the split holds no such clip.
+    """
+    counts = {i: len(resample(np.zeros(corpus.clips[i].frames), corpus.fps, FPS)) for i in corpus.select(split=split)}
+    chosen = [i for i, count in counts.items() if count >= frames]
+    if not chosen:
+        raise InvalidInputError(f"no clip of split {split!r} has {frames} frames at {FPS} fps", field="corpus")
+    infos = [corpus.clips[i] for i in chosen]
+    length = np.array([counts[i] for i in chosen])
+    key = sha256(json.dumps([corpus.manifest, split, frames], sort_keys=True).encode()).hexdigest()[:16]
+    kept = None if cache is None else cache / f"features_{key}.npy"
+    if kept is not None and kept.is_file():
+        features = np.load(kept, allow_pickle=False)
+    else:
+        features = np.concatenate(
+            [global_to_features(resample(corpus.positions(i), corpus.fps, FPS), FPS).astype(np.float32) for i in chosen]
+        )
+        if kept is not None:
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            np.save(kept, features)
+    behaviours = tuple(sorted({c.behaviour for c in infos}))
+    sentences = tuple(sorted({t for c in infos for t in c.texts}))
+    row = {t: i for i, t in enumerate(sentences)}
+    weight = np.array([c.weight for c in infos])
+    weight = weight if weight.sum() > 0 else length.astype(np.float64)
+    return Material(
+        features=features,
+        clip=np.repeat(np.arange(len(length)), length),
+        start=np.concatenate([[0], np.cumsum(length)[:-1]]),
+        length=length,
+        weight=weight / weight.sum(),
+        behaviour=np.array([behaviours.index(c.behaviour) for c in infos]),
+        behaviours=behaviours,
+        texts=tuple(tuple(row[t] for t in c.texts) for c in infos),
+        sentences=sentences,
+    )
+
+
+def emphasized(material: Material, factors: Mapping[str, float]) -> Material:
+    """Material whose clips of some behaviours are drawn more (or less) often.
+
+    Raises:
+        InvalidInputError: a behaviour that the material does not have.
+    """
+    weight = material.weight.copy()
+    for name, factor in factors.items():
+        if name not in material.behaviours:
+            raise InvalidInputError(f"no behaviour {name!r}", field="emphasis", allowed=", ".join(material.behaviours))
+        weight[material.behaviour == material.behaviours.index(name)] *= factor
+    return replace(material, weight=weight / weight.sum())
+
+
+class TextBank:
+    """All sentences of the corpus, encoded once."""
+
+    def __init__(self, encoder: TextEncoder, sentences: Sequence[str]):
+        tokens, mask = pad_tokens(encoder.encode(sentences), encoder.spec.dim)
+        self._tokens, self._mask = torch.from_numpy(tokens), torch.from_numpy(mask)
+
+    def pooled(self) -> Tensor:
+        """(S, dim) the pooled token of every sentence."""
+        return self._tokens[:, 0]
+
+    def rows(self, index: Index, keep: npt.NDArray[np.bool_]) -> tuple[Tensor, Tensor]:
+        """Token features (B, L, dim) and mask (B, L) of sentences; none where `keep` is False."""
+        mask = self._mask[index] & torch.from_numpy(keep)[:, None]
+        length = max(int(mask.sum(-1).max()), 1)
+        return self._tokens[index, :length], mask[:, :length]
+
+
+@dataclass(frozen=True)
+class WindowBatch:
+    """B windows.
+
+    Attributes:
+        features: (B, T, 263) float32.
+        clip: (B,) clip that the plan comes from; sentence: (B,) one of its sentences.
+        shown: (B,) whether the plan shows what the sentence says.
+    """
+
+    features: Tensor
+    clip: Index
+    sentence: Index
+    shown: npt.NDArray[np.bool_]
+
+
+class WindowSampler:
+    """Draws batches of windows; all its randomness is one generator that can be saved and restored.
+
+    Args:
+        material: clips.
+        prefix_frames, plan_frames: of a window.
+        seed: of the generator.
+        augment: join, bend and disturb; False gives windows as recorded.
+    """
+
+    def __init__(self, material: Material, prefix_frames: int, plan_frames: int, seed: int, augment: bool = True):
+        self.material = material
+        self._prefix = prefix_frames
+        self._frames = prefix_frames + plan_frames
+        self._augment = augment
+        self._rng = np.random.default_rng(seed)
+        place = np.arange(len(material.features)) - material.start[material.clip]
+        left = material.length[material.clip] - place
+        behaviour = material.behaviour[material.clip]
+        # A joint may enter anywhere that leaves enough frames for the rest of a window after the earliest joint.
+        enterable = (place >= 1) & (left >= plan_frames + JOIN_SPREAD)
+        for number, (start, length) in enumerate(zip(material.start, material.length, strict=True)):
+            rows = slice(start, start + length)
+            name = material.behaviours[material.behaviour[number]]
+            enterable[rows] &= deed_ahead(material.features[rows], name, plan_frames - JOIN_SPREAD)
+        self._finder = JoinFinder(material.features, behaviour, enterable) if augment else None
+        self._share = np.bincount(material.behaviour, material.weight, len(material.behaviours))
+
+    @property
+    def rng(self) -> np.random.Generator:
+        """The generator, which the trainer draws from too."""
+        return self._rng
+
+    def state(self) -> str:
+        """State of the generator as JSON."""
+        return json.dumps(self._rng.bit_generator.state)
+
+    def restore(self, state: str) -> None:
+        """Continue from a state that `state` gave."""
+        self._rng.bit_generator.state = json.loads(state)
+
+    def draw(self, batch: int) -> WindowBatch:
+        """The next `batch` windows."""
+        m, rng = self.material, self._rng
+        clip = rng.choice(len(m.weight), size=batch, p=m.weight)
+        begin = m.start[clip] + (rng.random(batch) * (m.length[clip] - self._frames + 1)).astype(np.int64)
+        windows = m.features[begin[:, None] + np.arange(self._frames)]
+        if self._finder is not None:
+            joined = rng.random(batch) < JOINED_SHARE
+            rows = np.flatnonzero(joined)
+            if len(rows):
+                windows[rows], clip[rows] = self._join(clip[rows])
+            windows = bend(windows, random_turns(windows, self._prefix, rng))
+            rows = np.flatnonzero(rng.random(batch) < DISTURBED_SHARE)
+            if len(rows):
+                windows[rows] = disturb(windows[rows], self._prefix, rng)
+        windows = repeat_first_rates(windows, window_positions(windows[:, :1])[:, 0])
+        sentence = np.array([m.texts[c][rng.integers(len(m.texts[c]))] for c in clip])
+        shown = plans_showing(windows[:, self._prefix :], [m.behaviours[m.behaviour[c]] for c in clip])
+        return WindowBatch(torch.from_numpy(windows), clip, sentence, shown)
+
+    def _join(self, clip: Index) -> tuple[Features, Index]:
+        """Windows that leave each of `clip` for another; they and the clips that they end in."""
+        m, rng, finder = self.material, self._rng, self._finder
+        assert finder is not None
+        before = rng.integers(self._prefix - JOIN_SPREAD, self._prefix + JOIN_SPREAD + 1, len(clip))
+        last = m.start[clip] + before + (rng.random(len(clip)) * (m.length[clip] - before)).astype(np.int64) - 1
+        last = np.maximum(last, m.start[clip] + before - 1)
+        enter, distance = np.zeros(len(last), np.int64), np.zeros(len(last))
+        can = finder.behaviours
+        for row, frame in enumerate(last):
+            own = int(m.behaviour[clip[row]])
+            share = self._share[can].copy()
+            if rng.random() < OTHER_BEHAVIOUR_SHARE and len(can) > 1:
+                share[[b == own for b in can]] = 0.0
+            if share.sum() == 0:
+                share[:] = 1.0
+            wanted = can[int(rng.choice(len(can), p=share / share.sum()))]
+            enter[row], distance[row] = finder.find(int(frame), wanted, rng)
+        windows = join(m.features, last, enter, before, blend_frames(distance), self._frames)
+        return windows, m.clip[enter]
+
+
+def feature_statistics(sampler: WindowSampler, batches: int = 16) -> tuple[Tensor, Tensor]:
+    """Mean and standard deviation (263,) over drawn windows; the deviation has a floor, so that nothing explodes."""
+    frames = torch.cat([sampler.draw(128).features.flatten(0, 1) for _ in range(batches)])
+    return frames.mean(0), frames.std(0).clamp_min(0.05)

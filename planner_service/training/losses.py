@@ -1,0 +1,195 @@
+"""What DiP is trained on: x0, targets, heading, and where R2G puts the body (REFERENCE 1).
+
+Positions are seen from the root frame of the last prefix frame, in metres; velocities in metres a second.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from planner_service.dip.conditions import (
+    JOINT_SLOTS,
+    SLOT_AXES,
+    TargetBatch,
+    heading_at_arrival,
+    joints_at_arrival,
+    wrapped_difference,
+)
+from planner_service.dip.features_torch import plan_to_positions
+from shared.motion.features import (
+    CONTACTS,
+    FEATURES,
+    JOINT_POSITIONS,
+    JOINT_ROTATIONS,
+    JOINT_VELOCITIES,
+    ROOT_HEIGHT,
+    ROOT_VELOCITY,
+    YAW_RATE,
+)
+from shared.motion.metrics import FOOT_JOINTS
+from shared.motion.skeleton import CANONICAL
+
+FPS = 20
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Weights of the terms; `x0_*` weigh the squared normalised error of a feature group.
+
+    The root's four numbers carry the whole path and would drown among 259 others, so they weigh more; rotations are
+    rebuilt from positions and weigh less.
+    """
+
+    x0_root: float = 8.0
+    x0_positions: float = 1.0
+    x0_rotations: float = 0.25
+    x0_velocities: float = 0.5
+    x0_contacts: float = 1.0
+    target: float = 4.0
+    heading: float = 1.0
+    position: float = 4.0
+    velocity: float = 0.4
+    acceleration: float = 0.002
+    skating: float = 2.0
+
+
+GESTURE_WEIGHTS = {"left_wrist": 6.0, "right_wrist": 6.0, "left_elbow": 3.0, "right_elbow": 3.0}
+"""Joints that count more in the position and velocity terms: a wave is 8 cm of two joints out of 22, and was smoothed
+away by a plain mean."""
+
+
+def joint_weights() -> Tensor:
+    """(22,) weights of joints with mean 1."""
+    out = torch.tensor([GESTURE_WEIGHTS.get(name, 1.0) for name in CANONICAL.names])
+    return out / out.mean()
+
+
+def feature_weights(w: LossWeights) -> Tensor:
+    """(263,) weights with mean 1."""
+    out = torch.zeros(FEATURES)
+    for part, weight in (
+        (YAW_RATE, w.x0_root),
+        (ROOT_VELOCITY, w.x0_root),
+        (ROOT_HEIGHT, w.x0_root),
+        (JOINT_POSITIONS, w.x0_positions),
+        (JOINT_ROTATIONS, w.x0_rotations),
+        (JOINT_VELOCITIES, w.x0_velocities),
+        (CONTACTS, w.x0_contacts),
+    ):
+        out[part] = weight
+    return out / out.mean()
+
+
+SLOT_SHARES = {
+    "traj": 0.42,
+    "pelvis": 0.14,
+    "left_wrist": 0.1,
+    "right_wrist": 0.1,
+    "left_foot": 0.09,
+    "right_foot": 0.09,
+    "head": 0.06,
+}
+NO_JOINT_SHARE = 0.35
+HEADING_SHARE = 0.45
+LAST_FRAME_SHARE = 0.5
+
+
+def sample_targets(plan: Tensor, first_frame: int, generator: torch.Generator) -> TargetBatch:
+    """Targets taken from the clips' own plans (B, N, 263, not normalised): none or one joint, with or without heading.
+
+    Arrival frames: half of them the last, the others anywhere from `first_frame` on.
+    """
+    b, n = plan.shape[:2]
+    positions, heading = plan_to_positions(plan, FPS)
+    shares = torch.tensor([SLOT_SHARES[s] for s in JOINT_SLOTS])
+    slot = torch.multinomial(shares.expand(b, -1), 1, generator=generator).squeeze(-1)
+
+    def chance(p: float) -> Tensor:
+        return torch.rand(b, generator=generator) < p
+
+    frame = torch.randint(first_frame, n + 1, (b,), generator=generator)
+    frame = torch.where(chance(LAST_FRAME_SHARE), n, frame)
+    own = torch.randint(first_frame, n + 1, (b,), generator=generator)
+    heading_frame = torch.where(chance(0.8), frame, own)
+    frames = frame[:, None].expand(b, len(JOINT_SLOTS))
+    valid = (torch.arange(len(JOINT_SLOTS)) == slot[:, None]) & ~chance(NO_JOINT_SHARE)[:, None]
+    return TargetBatch(
+        position_m=joints_at_arrival(positions, frames),
+        position_valid=valid,
+        position_frame=frames,
+        heading_rad=heading_at_arrival(heading, heading_frame),
+        heading_valid=chance(HEADING_SHARE),
+        heading_frame=heading_frame,
+    )
+
+
+def dip_loss(
+    predicted: Tensor,
+    clean: Tensor,
+    last_prefix: Tensor,
+    mean: Tensor,
+    std: Tensor,
+    targets: TargetBatch,
+    signal: Tensor,
+    weights: LossWeights,
+    group_weights: Tensor,
+) -> tuple[Tensor, dict[str, float]]:
+    """Loss of predicted against clean plans.
+
+    Args:
+        predicted, clean: (B, N, 263), normalised.
+        last_prefix: (B, 263) the last prefix frame, not normalised: the plan's first step starts there.
+        mean, std: (263,) of the normaliser.
+        targets: what the plan was asked to meet.
+        signal: (B,) share of the signal left at the diffusion step, 0..1: how much a prediction can know. Fine
+            physical terms count by it, since a prediction from noise alone is a mean of many motions.
+        weights: of the terms; group_weights: from `feature_weights`.
+
+    Returns:
+        the loss and its terms as numbers, with errors of targets in metres and radians.
+    """
+    terms = {"x0": ((predicted - clean).square() * group_weights).mean()}
+    positions, heading = plan_to_positions(predicted * std + mean, FPS)
+    clean_features = clean * std + mean
+    with torch.no_grad():
+        true_positions, _ = plan_to_positions(clean_features, FPS)
+        start = start_pose(last_prefix)
+
+    gap = (joints_at_arrival(positions, targets.position_frame) - targets.position_m * SLOT_AXES).square().sum(-1)
+    terms["target"] = (gap * targets.position_valid).sum() / positions.shape[0]
+    turn = wrapped_difference(heading_at_arrival(heading, targets.heading_frame), targets.heading_rad)
+    terms["heading"] = (turn.square() * targets.heading_valid).sum() / positions.shape[0]
+    joints = joint_weights()
+    terms["position"] = ((positions - true_positions).square().sum(-1) * joints).mean()
+
+    velocity = torch.diff(torch.cat([start[:, None], positions], dim=1), dim=1) * FPS
+    true_velocity = torch.diff(torch.cat([start[:, None], true_positions], dim=1), dim=1) * FPS
+    terms["velocity"] = (((velocity - true_velocity).square().sum(-1) * joints).mean((1, 2)) * signal).mean()
+    change, true_change = (torch.diff(v, dim=1) * FPS for v in (velocity, true_velocity))
+    terms["acceleration"] = ((change - true_change).square().sum(-1).mean((1, 2)) * signal).mean()
+    feet = velocity[:, :, torch.from_numpy(CANONICAL.indices(*FOOT_JOINTS))]
+    stance = clean_features[..., CONTACTS]
+    terms["skating"] = ((feet[..., :2].square().sum(-1) * stance).mean((1, 2)) * signal).mean()
+
+    total = sum((getattr(weights, name, 1.0) * value for name, value in terms.items()), torch.zeros(()))
+    numbers = {name: float(value.detach()) for name, value in terms.items()}
+    with torch.no_grad():
+        numbers["target_m"] = _mean_where(gap.sqrt().flatten(), targets.position_valid.flatten())
+        numbers["heading_rad"] = _mean_where(turn.abs(), targets.heading_valid)
+    return total, numbers
+
+
+def start_pose(last_prefix: Tensor) -> Tensor:
+    """Positions (B, 22, 3) of the last prefix frame (B, 263) in its own root frame."""
+    still = last_prefix.clone()
+    still[:, YAW_RATE] = 0.0
+    still[:, ROOT_VELOCITY] = 0.0
+    return plan_to_positions(still[:, None], FPS)[0][:, 0]
+
+
+def _mean_where(values: Tensor, mask: Tensor) -> float:
+    """Mean of the chosen values; 0 if there are none."""
+    return float((values * mask).sum() / mask.sum().clamp_min(1))

@@ -1,0 +1,124 @@
+"""Train DiP: `python -m planner_service.training.main --corpus DIR --out DIR`.
+
+Run again with the same --out to continue exactly where it stopped; SIGTERM stops it cleanly after the present step.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+from types import FrameType
+from typing import Annotated
+
+import torch
+import typer
+
+from planner_service.dip.config import DipConfig, preset
+from planner_service.dip.features_torch import Normalizer
+from planner_service.dip.network import DipNetwork, parameter_count, whiten_text
+from planner_service.dip.weights import load_weights
+from planner_service.text.pretrained import minilm
+from planner_service.training.dataset import (
+    Material,
+    TextBank,
+    WindowSampler,
+    emphasized,
+    feature_statistics,
+    load_material,
+)
+from planner_service.training.trainer import Trainer, TrainSettings, checkpoint_normalizer, read_checkpoint
+from shared.console import errors_for_people
+from shared.data.corpus import Corpus
+from shared.errors import InvalidInputError
+
+
+def train(
+    corpus: Annotated[Path, typer.Option(help="folder of the corpus")],
+    out: Annotated[Path, typer.Option(help="folder for checkpoints and logs; an existing one is continued")],
+    size: Annotated[str, typer.Option(help="tiny, small or full")] = "small",
+    steps: Annotated[int, typer.Option(help="train until this step", min=1)] = 200_000,
+    batch: Annotated[int, typer.Option(help="windows a step", min=1)] = 64,
+    learning_rate: Annotated[float, typer.Option(help="of AdamW")] = 4e-4,
+    decay_until: Annotated[int | None, typer.Option(help="step by which the rate has fallen to a twentieth")] = None,
+    threads: Annotated[int, typer.Option(help="CPU threads", min=1)] = 1,
+    bf16: Annotated[bool, typer.Option(help="bfloat16 autocast")] = True,
+    seed: Annotated[int, typer.Option(help="of windows, noise and dropout", min=0)] = 0,
+    save_every: Annotated[int, typer.Option(help="steps between checkpoints", min=1)] = 250,
+    emphasis: Annotated[str, typer.Option(help="draw behaviours more often, e.g. wave=2,turn=1.5")] = "",
+    init: Annotated[Path | None, typer.Option(help="warm start from these weights (safetensors)")] = None,
+) -> None:
+    """Train DiP on a corpus."""
+    torch.set_num_threads(threads)
+    checkpoint = out / "last.pt"
+    content = read_checkpoint(checkpoint) if checkpoint.is_file() else None
+    material = load_material(Corpus.load(corpus), "train", _frames(size), cache=out)
+    material = emphasized(material, _factors(emphasis))
+    texts = TextBank(minilm(), material.sentences)
+    if content is not None:
+        network = DipNetwork(DipConfig.model_validate_json(content["config"]))
+        normalizer = checkpoint_normalizer(content)
+    elif init is not None:
+        loaded = load_weights(init)
+        network, normalizer = loaded.network.requires_grad_(True), loaded.normalizer
+    else:
+        torch.manual_seed(seed)
+        network = DipNetwork(preset(size))
+        if network.config.pooled_text:
+            whiten_text(network, texts.pooled())
+        normalizer = Normalizer(*feature_statistics(_sampler(material, network.config, 0)))
+    settings = TrainSettings(
+        batch=batch,
+        learning_rate=learning_rate,
+        decay_until=decay_until,
+        bf16=bf16,
+        seed=seed,
+        save_every=save_every,
+    )
+    sampler = _sampler(material, network.config, seed)
+    trainer = Trainer(network, normalizer, sampler, texts, settings, out)
+    if content is not None:
+        trainer.restore(content)
+    (out / "command.txt").write_text(" ".join(sys.argv) + "\n", encoding="utf-8")
+    print(
+        f"DiP {size}: {parameter_count(network):,} parameters; {len(material.length)} clips, "
+        f"{len(material.features) / 20 / 60:.1f} min, {len(material.sentences)} sentences; pid {os.getpid()}; "
+        f"from step {trainer.state.step}",
+        flush=True,
+    )
+    stopping = False
+
+    def ask_to_stop(number: int, frame: FrameType | None) -> None:
+        nonlocal stopping
+        stopping = True
+
+    signal.signal(signal.SIGTERM, ask_to_stop)
+    signal.signal(signal.SIGINT, ask_to_stop)
+    trainer.run(steps, lambda: stopping, lambda line: print(line, flush=True))
+
+
+def _factors(emphasis: str) -> dict[str, float]:
+    """`wave=2,turn=1.5` as a mapping; raises InvalidInputError for anything else."""
+    out = {}
+    for part in filter(None, emphasis.split(",")):
+        name, _, factor = part.partition("=")
+        try:
+            out[name.strip()] = float(factor)
+        except ValueError:
+            raise InvalidInputError(f"emphasis {part!r}", field="emphasis", allowed="BEHAVIOUR=FACTOR,...") from None
+    return out
+
+
+def _sampler(material: Material, config: DipConfig, seed: int) -> WindowSampler:
+    return WindowSampler(material, config.prefix_frames, config.plan_frames, seed)
+
+
+def _frames(size: str) -> int:
+    config = preset(size)
+    return config.prefix_frames + config.plan_frames
+
+
+if __name__ == "__main__":
+    with errors_for_people():
+        typer.run(train)

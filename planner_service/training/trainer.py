@@ -1,0 +1,224 @@
+"""DiP's training loop. Resumes exactly: a checkpoint has model, optimiser, EMA, every generator and the step count."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from pydantic import BaseModel, ConfigDict, Field
+from torch import Tensor
+from torch.utils.tensorboard import SummaryWriter
+
+from planner_service.dip.config import DipConfig
+from planner_service.dip.diffusion import add_noise, cosine_schedule
+from planner_service.dip.features_torch import Normalizer
+from planner_service.dip.network import DipNetwork
+from planner_service.training.dataset import TextBank, WindowSampler
+from planner_service.training.losses import LossWeights, dip_loss, feature_weights, sample_targets
+
+
+class TrainSettings(BaseModel):
+    """How to train.
+
+    Attributes:
+        decay_until: step at which the learning rate has fallen, in a straight line, to a twentieth; None: it stays.
+        text_dropout: share of windows that lose their text, for guidance.
+        bf16: run the network under bfloat16 autocast; losses stay in float32.
+        ema_decay: the average's decay is min(ema_decay, (1 + n) / (10 + n)) at step n.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    batch: int = Field(64, gt=0)
+    learning_rate: float = Field(4e-4, gt=0)
+    warmup_steps: int = Field(200, gt=0)
+    decay_until: int | None = Field(None, gt=0)
+    weight_decay: float = Field(0.01, ge=0)
+    clip_norm: float = Field(1.0, gt=0)
+    text_dropout: float = Field(0.1, ge=0, le=1)
+    ema_decay: float = Field(0.9999, gt=0, lt=1)
+    bf16: bool = True
+    seed: int = 0
+    log_every: int = Field(20, gt=0)
+    save_every: int = Field(250, gt=0)
+
+
+@dataclass
+class TrainState:
+    """What changes while training and is written to a checkpoint."""
+
+    step: int
+    hours: float
+
+
+class Trainer:
+    """Trains one network on windows.
+
+    Args:
+        network: starts with these weights.
+        normalizer: of the features; fixed.
+        sampler, texts: where windows and token features come from.
+        settings: how.
+        out: folder for `last.pt`, `log.jsonl` and TensorBoard's files.
+    """
+
+    def __init__(
+        self,
+        network: DipNetwork,
+        normalizer: Normalizer,
+        sampler: WindowSampler,
+        texts: TextBank,
+        settings: TrainSettings,
+        out: Path,
+    ):
+        self.network, self.normalizer, self.settings, self.out = network, normalizer, settings, out
+        self.average = deepcopy(network).eval().requires_grad_(False)
+        self._sampler, self._texts = sampler, texts
+        self._schedule = cosine_schedule(network.config.steps)
+        self._weights = LossWeights()
+        self._group_weights = feature_weights(self._weights)
+        self._optimizer = torch.optim.AdamW(
+            network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay, fused=True
+        )
+        self._generator = torch.Generator().manual_seed(settings.seed)
+        torch.manual_seed(settings.seed)
+        self.state = TrainState(0, 0.0)
+        out.mkdir(parents=True, exist_ok=True)
+
+    @property
+    def config(self) -> DipConfig:
+        """Of the network."""
+        return self.network.config
+
+    def run(self, until: int, stop: Callable[[], bool], report: Callable[[str], None]) -> None:
+        """Train until step `until` or until `stop()`; either way a checkpoint is written at the end."""
+        sums: dict[str, float] = defaultdict(float)
+        began, since = time.monotonic(), self.state.step
+        last = began
+        with (self.out / "log.jsonl").open("a", encoding="utf-8") as log, SummaryWriter(str(self.out / "tb")) as board:
+            while self.state.step < until and not stop():
+                for name, value in self.train_step().items():
+                    sums[name] += value
+                now = time.monotonic()
+                self.state.hours += (now - last) / 3600
+                last = now
+                done = self.state.step - since
+                if done % self.settings.log_every == 0:
+                    means = {k: v / self.settings.log_every for k, v in sums.items()}
+                    sums.clear()
+                    pace = done / (now - began)
+                    row = {"step": self.state.step, "hours": self.state.hours, "steps_per_s": pace, **means}
+                    log.write(json.dumps(row) + "\n")
+                    log.flush()
+                    for name, value in means.items():
+                        board.add_scalar(name, value, self.state.step)
+                    left = (until - self.state.step) / pace / 3600
+                    shown = " ".join(f"{k} {v:.4f}" for k, v in means.items())
+                    report(f"step {self.state.step}/{until} {1 / pace:.2f} s/step, {left:.1f} h left | {shown}")
+                if self.state.step % self.settings.save_every == 0:
+                    self.save(self.out / "last.pt")
+        self.save(self.out / "last.pt")
+        report(f"stopped at step {self.state.step}; checkpoint in {self.out / 'last.pt'}")
+
+    def train_step(self) -> dict[str, float]:
+        """One update; the loss terms."""
+        settings, config = self.settings, self.config
+        batch = self._sampler.draw(settings.batch)
+        keep = self._sampler.rng.random(settings.batch) >= settings.text_dropout
+        text, text_mask = self._texts.rows(batch.sentence, np.asarray(keep & batch.shown))
+        prefix, plan = batch.features[:, : config.prefix_frames], batch.features[:, config.prefix_frames :]
+        targets = sample_targets(plan, config.first_arrival_frame, self._generator)
+        clean = self.normalizer.normalize(plan)
+        step = torch.randint(0, config.steps, (settings.batch,), generator=self._generator)
+        noise = torch.randn(clean.shape, generator=self._generator)
+        noisy = add_noise(self._schedule, clean, step, noise)
+        vector = targets.vector(config.plan_frames)
+        self.network.train()
+        with torch.autocast("cpu", torch.bfloat16, enabled=settings.bf16):
+            predicted = self.network(noisy, step, self.normalizer.normalize(prefix), vector, text, text_mask)
+        loss, terms = dip_loss(
+            predicted.float(),
+            clean,
+            prefix[:, -1],
+            self.normalizer.mean,
+            self.normalizer.std,
+            targets,
+            self._schedule.alpha_bar[step],
+            self._weights,
+            self._group_weights,
+        )
+        for group in self._optimizer.param_groups:
+            group["lr"] = learning_rate(settings, self.state.step)
+        self._optimizer.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), settings.clip_norm)
+        if not torch.isfinite(norm):
+            # One bad batch must not end hours of training; the step is counted and its gradients are dropped.
+            self._optimizer.zero_grad(set_to_none=True)
+        self._optimizer.step()
+        self._update_average()
+        self.state.step += 1
+        return {"loss": float(loss.detach()), **terms, "grad_norm": float(norm)}
+
+    def _update_average(self) -> None:
+        n = self.state.step
+        decay = min(self.settings.ema_decay, (1 + n) / (10 + n))
+        with torch.no_grad():
+            ours: list[Tensor] = list(self.average.parameters())
+            torch._foreach_lerp_(ours, [p.detach() for p in self.network.parameters()], 1 - decay)
+
+    def save(self, path: Path) -> None:
+        """Write a checkpoint; the old one is there until the new one is complete."""
+        content: dict[str, Any] = {
+            "config": self.config.model_dump_json(),
+            "settings": self.settings.model_dump_json(),
+            "step": self.state.step,
+            "hours": self.state.hours,
+            "network": self.network.state_dict(),
+            "average": self.average.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "mean": self.normalizer.mean,
+            "std": self.normalizer.std,
+            "sampler": self._sampler.state(),
+            "generator": self._generator.get_state(),
+            "torch_rng": torch.get_rng_state(),
+        }
+        scratch = path.with_suffix(".part")
+        torch.save(content, scratch)
+        scratch.rename(path)
+
+    def restore(self, content: dict[str, Any]) -> None:
+        """Continue exactly from what `read_checkpoint` gave."""
+        self.network.load_state_dict(content["network"])
+        self.average.load_state_dict(content["average"])
+        self._optimizer.load_state_dict(content["optimizer"])
+        self._sampler.restore(content["sampler"])
+        self._generator.set_state(content["generator"])
+        torch.set_rng_state(content["torch_rng"])
+        self.state = TrainState(content["step"], content["hours"])
+
+
+def learning_rate(settings: TrainSettings, step: int) -> float:
+    """Rate of the update after `step` updates: a rise over the warm-up times a fall toward `decay_until`."""
+    rise = min(1.0, (step + 1) / settings.warmup_steps)
+    fall = 1.0 if settings.decay_until is None else max(0.05, 1.0 - step / settings.decay_until)
+    return settings.learning_rate * rise * fall
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """Content of a checkpoint; only tensors and plain values are read."""
+    content: dict[str, Any] = torch.load(path, weights_only=True)
+    return content
+
+
+def checkpoint_normalizer(content: dict[str, Any]) -> Normalizer:
+    """The normaliser a checkpoint was trained with."""
+    mean: Tensor = content["mean"]
+    return Normalizer(mean, content["std"])

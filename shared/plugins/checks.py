@@ -1,0 +1,71 @@
+"""What every plan request and every plan must hold, whoever planned."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shared.errors import InvalidInputError, SimulationError
+from shared.motion.skeleton import CANONICAL
+from shared.plugins.interfaces import PlannerSpec
+from shared.protocol.messages import Plan, PlanRequest
+
+FLOOR_JOINT = "traj"
+MAX_TARGET_DISTANCE_M = 30.0
+MAX_SPEED_MPS = 30.0
+
+
+def fit_request(request: PlanRequest, spec: PlannerSpec) -> PlanRequest:
+    """The request as the planner takes it: the prefix cut to the frames it wants.
+
+    Raises InvalidInputError that names the field for what no planner can do, or this one cannot.
+    """
+    frames = len(request.prefix_positions_w_m)
+    if frames < spec.prefix_frames:
+        raise InvalidInputError(
+            f"the prefix has {frames} frames", field="prefix_positions_w_m", allowed=f">= {spec.prefix_frames} frames"
+        )
+    if request.horizon_frames > spec.plan_frames:
+        raise InvalidInputError(
+            f"{spec.name} plans at most {spec.plan_frames} frames, not {request.horizon_frames}",
+            field="horizon_frames",
+            allowed=f"1..{spec.plan_frames}",
+        )
+    root = request.prefix_positions_w_m[-1, 0]
+    joints = (*CANONICAL.names, FLOOR_JOINT)
+    for number, target in enumerate(request.targets):
+        if target.joint not in joints:
+            raise InvalidInputError(
+                f"unknown joint {target.joint!r}", field=f"targets.{number}.joint", allowed=", ".join(joints)
+            )
+        distance_m = float(np.linalg.norm(np.array(target.position_w_m[:2]) - root[:2]))
+        if distance_m > MAX_TARGET_DISTANCE_M or abs(target.position_w_m[2]) > MAX_TARGET_DISTANCE_M:
+            raise InvalidInputError(
+                f"the target is {distance_m:.1f} m away",
+                field=f"targets.{number}.position_w_m",
+                allowed=f"at most {MAX_TARGET_DISTANCE_M:g} m from the character",
+            )
+    if frames == spec.prefix_frames:
+        return request
+    cut = {
+        name: getattr(request, name)[-spec.prefix_frames :]
+        for name in ("prefix_positions_w_m", "prefix_rotations_6d", "prefix_velocities_w_mps")
+    }
+    return request.model_copy(update={**cut, "context_frames": min(request.context_frames, spec.prefix_frames)})
+
+
+def check_plan(request: PlanRequest, plan: Plan) -> None:
+    """Raise SimulationError for a plan that is no answer to the request, or nothing a body could do."""
+    horizon, positions = request.horizon_frames, plan.positions_w_m
+    if positions.shape[0] != horizon or plan.start_tick != request.start_tick or plan.skeleton != CANONICAL.id:
+        raise SimulationError(
+            f"{plan.planner} gave {positions.shape[0]} frames of {plan.skeleton} from tick {plan.start_tick}; "
+            f"asked were {horizon} of {CANONICAL.id} from {request.start_tick}"
+        )
+    if not (np.isfinite(positions).all() and np.isfinite(plan.rotations_6d).all()):
+        raise SimulationError(f"{plan.planner} gave non-finite values", field="positions_w_m")
+    whole = np.concatenate([request.prefix_positions_w_m[-1:], positions])
+    speed = float(np.linalg.norm(np.diff(whole, axis=0), axis=-1).max()) * plan.fps
+    if speed > MAX_SPEED_MPS:
+        raise SimulationError(
+            f"{plan.planner} gave a joint {speed:.1f} m/s", field="positions_w_m", allowed=f"<= {MAX_SPEED_MPS:g} m/s"
+        )

@@ -1,0 +1,27 @@
+"""The three services as processes, shared by the tests of this folder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import httpx
+import pytest
+
+from orchestrator.core.supervise import Stack
+from tests.orchestrator.support import light
+from tests.planner_service.motion import write_library
+
+
+@pytest.fixture(scope="session")
+def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+    """Planner, tracker and orchestrator with the plug-ins `stand` and `kinematic`; `clip` and `pd` are there too."""
+    library = write_library(tmp_path_factory.mktemp("library"))
+    with Stack(light(tmp_path_factory.mktemp("data"), library)) as running:
+        yield running
+
+
+@pytest.fixture
+def http(stack: Stack) -> Iterator[httpx.Client]:
+    """A plain HTTP client of the orchestrator."""
+    with httpx.Client(base_url=stack.url, timeout=60.0) as client:
+        yield client

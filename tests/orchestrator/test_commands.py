@@ -1,0 +1,123 @@
+"""The command line without a server: every command starts, says what it takes, and refuses in one line."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from orchestrator.cli import main as cli
+from shared.errors import InvalidInputError
+from shared.motion.ik import clip_from_positions, standing_clip
+from shared.motion.io.bvh import write_bvh
+from tests.data.samples import stepping
+from tracker_service.training.evaluate_clips import motions_of_files
+
+IN_PROCESS = CliRunner(env={"COLUMNS": "200", "TERM": "dumb"})
+
+
+def run(*arguments: str, code: int = 0) -> str:
+    """Output of the command in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, "-m", "motionloop", *arguments], capture_output=True, text=True, timeout=150, check=False
+    )
+    assert done.returncode == code, done.stderr + done.stdout
+    assert "Traceback" not in done.stderr
+    return done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _all_commands() -> None:
+    names = {group.name for group in cli.app.registered_groups}
+    if "eval" not in names:
+        cli._add_measurements()
+
+
+@pytest.mark.parametrize(
+    ("command", "mentions"),
+    [
+        ("", ("serve", "demo", "say", "episode", "swap", "export", "conformance", "data", "train", "eval", "bench")),
+        ("serve", ("planner", "--port")),
+        ("swap", ("--plugin", "--endpoint")),
+        ("export", ("--formats", "bvh")),
+        ("conformance", ("ENDPOINT", "--plugin")),
+        ("data import", ("BVH", "OUT")),
+        ("data build", ("MOTIONLOOP_MOCAP", "--seed")),
+        ("eval tasks", ("--episodes", "--variant", "--json")),
+        ("eval text", ("--minutes", "--json")),
+        ("bench loop", ("--characters", "--seconds", "--json")),
+    ],
+)
+def test_help_says_what_a_command_takes(command: str, mentions: tuple[str, ...]) -> None:
+    shown = IN_PROCESS.invoke(cli.app, [*command.split(), "--help"])
+    assert shown.exit_code == 0
+    for word in mentions:
+        assert word.lower() in shown.output.lower()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["serve", "dragon"],
+        ["swap", "orchestrator", "--plugin", "x"],
+        ["swap"],
+        ["export"],
+        ["eval", "tasks", "--episodes", "0"],
+        ["data", "import", "/nowhere", "/tmp/out"],
+        ["data", "build", "/nowhere", "/tmp/out"],
+        ["bench", "loop", "--characters", "0"],
+    ],
+)
+def test_wrong_use_is_told(arguments: list[str]) -> None:
+    refused = IN_PROCESS.invoke(cli.app, arguments)
+    assert refused.exit_code == 2
+    assert "Usage" in refused.output
+
+
+@pytest.mark.parametrize("command", ["train planner --out {out}", "train tracker --out {out}", "eval planner --seed 2"])
+def test_training_and_evaluation_start_and_a_missing_corpus_is_one_clear_line(command: str, tmp_path: Path) -> None:
+    arguments = command.format(out=tmp_path / "out").split()
+    said = run(*arguments, "--corpus", str(tmp_path / "none"), code=1)
+    assert "invalid_input in corpus" in said
+    assert "holds no corpus" in said
+
+
+def test_a_peer_that_is_not_there_is_told(tmp_path: Path) -> None:
+    shown = IN_PROCESS.invoke(cli.app, ["conformance", f"ipc://{tmp_path}/nobody"])
+    assert shown.exit_code == 1
+    shown = IN_PROCESS.invoke(cli.app, ["conformance", "udp://127.0.0.1:1"])
+    assert shown.exit_code == 1
+
+
+def test_import_reports_each_file_and_fails_only_when_none_is_usable(tmp_path: Path) -> None:
+    source = tmp_path / "in"
+    source.mkdir()
+    (source / "bad.bvh").write_text("not motion")
+    assert IN_PROCESS.invoke(cli.app, ["data", "import", str(source), str(tmp_path / "out")]).exit_code == 1
+    write_bvh(source / "good.bvh", clip_from_positions(stepping(), 30.0, rebuild=True))
+    shown = IN_PROCESS.invoke(cli.app, ["data", "import", str(source), str(tmp_path / "out")])
+    assert shown.exit_code == 0
+    assert "bad.bvh" in shown.output
+    assert (tmp_path / "out" / "good.npz").is_file()
+
+
+def test_eval_tracker_follows_a_folder_of_clips(tmp_path: Path) -> None:
+    """The behaviour is the folder's name; what cannot be read is said and left out."""
+    clips = tmp_path / "clips"
+    (clips / "stand").mkdir(parents=True)
+    write_bvh(clips / "stand" / "still.bvh", standing_clip(60, 30.0))
+    (clips / "broken.bvh").write_text("not motion")
+    result_file = tmp_path / "result.json"
+    run("eval", "tracker", "--clips", str(clips), "--tracker", "pd", "--seed", "3", "--json", str(result_file))
+    result = json.loads(result_file.read_text())
+    assert (result["clips"], result["success"], result["seed"]) == (1, 1.0, 3)
+    assert {"mpjpe_mm", "velocity_error_mps", "falls_per_min", "by_behaviour", "per_clip", "machine"} <= result.keys()
+    assert result["by_behaviour"]["stand"]["clips"] == 1
+    assert list(result["left_out"]) == ["broken.bvh"]
+    (clips / "stand" / "still.bvh").unlink()
+    with pytest.raises(InvalidInputError, match="broken"):
+        motions_of_files(clips)

@@ -1,0 +1,134 @@
+"""Store and recordings: what was written is there after a kill, and files are whole or absent."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orchestrator.core.episode import EpisodeOutcome, EpisodeSpec
+from orchestrator.core.events import Event
+from orchestrator.export.formats import to_bvh, to_csv
+from orchestrator.store.database import Store
+from orchestrator.store.recordings import Recording, RecordingFiles, from_npz, to_npz
+from shared.errors import NotFoundError
+from shared.motion.ik import standing_clip
+from shared.motion.io.bvh import read_bvh
+from shared.protocol.messages import TickRange
+from shared.tasks.specs import HaltSpec
+
+SPEC = EpisodeSpec(tasks=[HaltSpec()])
+
+
+def ticks(start: int, count: int) -> TickRange:
+    """Standing, for `count` ticks."""
+    standing = standing_clip(count, 30).positions_w_m.astype("<f4")
+    quat = np.zeros((count, 22, 4), "<f4")
+    quat[..., 0] = 1
+    return TickRange(
+        start_tick=start, rate_hz=30, body_pos_w_m=standing, body_quat_w=quat,
+        body_linvel_w_mps=np.zeros((count, 22, 3), "<f4"), contacts=np.ones((count, 4), "|u1"),
+        object_pose_w=np.zeros((count, 0, 7), "<f4"), tracking_error_m=np.zeros(count, "<f4"),
+        fallen=np.zeros(count, "|u1"), reference_pos_w_m=standing,
+    )  # fmt: skip
+
+
+def _run_and_die(folder: Path) -> None:
+    store = Store(folder)
+    store.episode_started("e1", SPEC, {})
+    store.event("e1", Event(seq=1, type="state", tick=3, unix_s=0.0, data={"after": "acting"}))
+    files = RecordingFiles(store.recordings)
+    files.add_part("e1", ticks(0, 40))
+    files.add_part("e1", ticks(40, 20))
+    store.flush()
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_after_a_kill_running_episodes_are_interrupted_with_all_recorded_ticks(tmp_path: Path) -> None:
+    child = multiprocessing.get_context("spawn").Process(target=_run_and_die, args=(tmp_path,))
+    child.start()
+    child.join(60)
+    assert child.exitcode == -signal.SIGKILL
+    store = Store(tmp_path)
+    assert store.mark_interrupted() == ["e1"]
+    row = store.episode("e1")
+    assert row["status"] == "interrupted"
+    assert "stopped" in row["reason"]
+    assert [event.type for event in store.events("e1")] == ["state"]
+    files = RecordingFiles(store.recordings)
+    assert files.unfinished() == ["e1"]
+    files.finish("e1")
+    assert len(files.load("e1")) == 60
+    assert files.unfinished() == []
+    store.close()
+
+
+def test_episodes_are_filtered_paged_and_deleted(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    outcome = EpisodeOutcome(
+        status="finished", reason=None, success=True, results=[], ticks=90, plans=6, missed_ticks=0
+    )
+    for i in range(5):
+        store.episode_started(f"e{i}", SPEC, {})
+        if i % 2:
+            store.episode_ended(f"e{i}", outcome)
+    rows, total = store.episodes("finished", 1, 0)
+    assert total == 2
+    assert [row["id"] for row in rows] == ["e3"]
+    assert rows[0]["outcome"]["ticks"] == 90
+    assert [row["id"] for row in store.episodes(None, 2, 3)[0]] == ["e1", "e0"]
+    store.delete_episode("e3")
+    with pytest.raises(NotFoundError, match="e3"):
+        store.episode("e3")
+    store.close()
+
+
+def test_a_locked_store_loses_nothing(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store.flush()
+    other = sqlite3.connect(tmp_path / "motionloop.sqlite", isolation_level=None)
+    other.execute("BEGIN EXCLUSIVE")
+    store.event("e", Event(seq=1, type="x", tick=0, unix_s=0.0))
+    assert not store.flush(0.2)
+    other.execute("COMMIT")
+    other.close()
+    assert [event.seq for event in store.events("e")] == [1]
+    store.close()
+
+
+def test_a_recording_comes_back_as_it_was(tmp_path: Path) -> None:
+    files = RecordingFiles(tmp_path)
+    files.add_part("e", ticks(0, 10))
+    files.add_part("e", ticks(10, 5))
+    path = files.finish("e")
+    assert path is not None
+    recording = from_npz(path)
+    np.testing.assert_array_equal(recording.arrays["body_pos_w_m"], ticks(0, 15).body_pos_w_m)
+    assert not list(tmp_path.glob("*.partial"))
+    assert not list(tmp_path.glob("*.parts"))
+    assert to_npz(recording)[:2] == b"PK"
+    files.delete("e")
+    with pytest.raises(NotFoundError):
+        files.load("e")
+
+
+def test_exports_hold_the_motion(tmp_path: Path) -> None:
+    files = RecordingFiles(tmp_path)
+    files.add_part("e", ticks(0, 12))
+    path = files.finish("e")
+    assert path is not None
+    recording: Recording = from_npz(path)
+    lines = to_csv(recording).decode().splitlines()
+    assert len(lines) == 13
+    assert lines[0].startswith("tick,time_s,pelvis_x_m")
+    assert lines[-1].startswith("11,0.3667,")
+    bvh = tmp_path / "motion.bvh"
+    bvh.write_bytes(to_bvh(recording))
+    raw = read_bvh(bvh)
+    assert raw.fps == pytest.approx(30, abs=1e-3)
+    assert len(raw.positions_w_m) == 12

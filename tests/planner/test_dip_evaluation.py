@@ -1,0 +1,80 @@
+"""The kinematic closed loop and what counts as showing a text."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from planner_service.builtin.stand import StandPlanner
+from planner_service.training.evaluate import contact_slide_mm, reach
+from planner_service.training.evidence import deed_ahead, frames_showing, plans_showing
+from planner_service.training.rollout import Rollout
+from shared.errors import InvalidInputError
+from shared.motion.features import global_to_features
+from shared.motion.ik import standing_clip
+from shared.motion.skeleton import CANONICAL
+from shared.tasks.interface import BodyView, PlanGoal
+from tests.planner.dip_helpers import moving_body
+
+STANDING = standing_clip(20, 20).positions_w_m
+
+
+def test_rollout_plays_what_was_planned_and_asks_from_its_end() -> None:
+    planner = StandPlanner()
+    start = np.stack([STANDING, STANDING + [2.0, 1.0, 0.0]])
+    rollout = Rollout(planner, start, seed=0)
+    seen: list[tuple[int, int]] = []
+
+    def goal(body: int, view: BodyView) -> PlanGoal:
+        seen.append((body, view.tick))
+        np.testing.assert_array_equal(view.pos_w_m, rollout.frames(body)[-1])
+        return PlanGoal(text="a person is standing still.")
+
+    rollout.step(goal)
+    rollout.step(goal)
+    assert seen == [(0, 0), (1, 0), (0, 30), (1, 30)]
+    assert list(rollout.lengths()) == [60, 60]
+    assert rollout.tick == 60
+    assert len(rollout.trace(0, 19)) == 61
+    np.testing.assert_allclose(rollout.frames(1)[-1, 0, :2], [2.0, 1.0], atol=0.05)
+
+
+def test_odd_replan_is_refused() -> None:
+    with pytest.raises(InvalidInputError) as caught:
+        Rollout(StandPlanner(), STANDING[None], seed=0, replan_frames=15)
+    assert caught.value.field == "replan_frames"
+
+
+def test_who_stands_reaches_nothing() -> None:
+    result = reach(StandPlanner(), episodes=3, seed=0, seconds=2)
+    assert result["reached"] == 0.0
+    assert result["median_time_s"] is None
+
+
+def test_slide_is_the_way_of_touching_feet() -> None:
+    still = np.repeat(STANDING[:1], 30, 0)
+    assert contact_slide_mm(still) == 0.0
+    slid = still + np.arange(30)[:, None, None] * [0.004, 0.0, 0.0]
+    assert abs(contact_slide_mm(slid) - 4.0) < 1e-6
+
+
+def test_jump_shows_only_where_both_feet_are_up() -> None:
+    motion = np.repeat(STANDING[:1], 60, 0)
+    motion[40:50, :, 2] += 0.2
+    features = global_to_features(motion, 20).astype(np.float32)
+    # Heights in the features are above the floor, so the lift is seen in them.
+    assert frames_showing(features, "jump").nonzero()[0].tolist() == list(range(40, 50))
+    ahead = deed_ahead(features, "jump", 20)
+    assert not ahead[:22].any()
+    assert ahead[22:49].all()
+    assert not ahead[49:].any()
+
+
+def test_wave_turn_and_the_rest() -> None:
+    arm_up = np.repeat(STANDING[:1], 40, 0)
+    arm_up[:, CANONICAL.index("right_wrist"), 2] = 1.7
+    turning = moving_body(41, 20.0, 0.0, 1.0)[1:]
+    motions = (arm_up, STANDING.repeat(2, 0), turning, arm_up, turning)
+    plans = np.stack([global_to_features(m, 20).astype(np.float32) for m in motions])
+    shown = plans_showing(plans, ["wave", "wave", "turn", "turn", "stand"])
+    assert shown.tolist() == [True, False, True, False, True]

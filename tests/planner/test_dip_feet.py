@@ -1,0 +1,48 @@
+"""Planted feet: a creeping foot is held, a lifted one is let go, nothing goes below the floor, bones stay exact."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner_service.dip.feet import MOST_HELD_M, held_offsets, with_planted_feet
+from planner_service.training.evaluate import contact_slide_mm
+from shared.motion.ik import standing_clip
+from shared.motion.metrics import penetration_mm
+from shared.motion.skeleton import CANONICAL
+
+STANDING = standing_clip(41, 20.0).positions_w_m
+
+
+def test_a_held_foot_stays_and_a_free_one_returns() -> None:
+    path = np.stack([np.linspace(0.0, 0.04, 41), np.zeros(41)], axis=-1)
+    contact = np.arange(41) < 20
+    offset = held_offsets(path, contact)
+    held = path + offset
+    assert np.abs(np.diff(held[:20], axis=0)).max() < 0.001
+    assert np.abs(offset[-1]).max() < 1e-4
+    assert not offset[0].any()
+
+
+def test_a_foot_is_never_held_far_from_its_path() -> None:
+    path = np.stack([np.linspace(0.0, 2.0, 41), np.zeros(41)], axis=-1)
+    assert np.linalg.norm(held_offsets(path, np.ones(41, np.bool_)), axis=-1).max() <= MOST_HELD_M + 1e-9
+
+
+def test_planted_plan_slides_less_and_has_exact_bones() -> None:
+    bent = STANDING.copy()
+    bent[..., 2] -= 0.05
+    feet = CANONICAL.indices("left_ankle", "right_ankle", "left_foot", "right_foot")
+    bent[:, feet, 2] = STANDING[:, feet, 2]
+    bent[..., 0] += np.linspace(0.0, 0.06, 41)[:, None]
+    clip = with_planted_feet(bent, np.ones((41, 4)), 20.0)
+    assert len(clip) == 40
+    assert contact_slide_mm(clip.positions_w_m) < 0.4 * contact_slide_mm(bent[1:])
+    parents = np.array(CANONICAL.parents[1:])
+    bones = np.linalg.norm(clip.positions_w_m[:, 1:] - clip.positions_w_m[:, parents], axis=-1)
+    np.testing.assert_allclose(bones, np.broadcast_to(CANONICAL.bone_lengths_m[1:], bones.shape), atol=1e-6)
+
+
+def test_feet_are_lifted_out_of_the_floor() -> None:
+    sunk = STANDING - [0.0, 0.0, 0.06]
+    assert penetration_mm(sunk) > 50
+    assert penetration_mm(with_planted_feet(sunk, np.zeros((41, 4)), 20.0).positions_w_m) < 5

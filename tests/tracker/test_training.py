@@ -1,0 +1,228 @@
+"""The trainer end to end on made motion: exact resume, drops of exploded states, export equal in numpy and torch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.numpy import load_file
+
+from shared.motion.ik import standing_clip
+from shared.scenes.schema import load_scene
+from tracker_service.policy.observations import feedforward_targets
+from tracker_service.policy.ppo import PpoTracker, policy_input
+from tracker_service.simulation.character import SimulatedCharacter
+from tracker_service.simulation.character_spec import HUMAN
+from tracker_service.simulation.humanoid import humanoid
+from tracker_service.simulation.scene import build_scene
+from tracker_service.training import rewards
+from tracker_service.training.dataset import MotionInput, ReferenceSet, prepare, prepare_cached
+from tracker_service.training.env import EnvSettings, TrackingEnv
+from tracker_service.training.evaluate import evaluate
+from tracker_service.training.export import export_weights
+from tracker_service.training.network import ActorCritic, Normalizer, run_mixed
+from tracker_service.training.ppo import PpoSettings
+from tracker_service.training.trainer import Trainer
+
+HUMANOID = humanoid(HUMAN)
+SMALL = EnvSettings(envs=6)
+
+
+def swaying(name: str, frames: int = 75) -> MotionInput:
+    positions = standing_clip(frames, 30.0).positions_w_m.copy()
+    positions[:, :, 1] += 0.02 * np.sin(np.arange(frames) / 10.0)[:, None] * positions[:, :, 2]
+    return MotionInput(name, "stand", 1.0, positions)
+
+
+@pytest.fixture(scope="module")
+def references() -> ReferenceSet:
+    return prepare(HUMANOID, [swaying("a"), swaying("b", 60)])
+
+
+def trainer(references: ReferenceSet, out: Path) -> Trainer:
+    return Trainer(HUMANOID, references, references, out, SMALL, PpoSettings(steps=6, minibatches=2), seed=3)
+
+
+def test_resume_is_exact(references: ReferenceSet, tmp_path: Path) -> None:
+    whole = trainer(references, tmp_path / "a")
+    whole.iterate()
+    whole.save(tmp_path / "checkpoint.pt")
+    expected = [whole.iterate() for _ in range(2)][-1]
+    resumed = trainer(references, tmp_path / "b")
+    resumed.load(tmp_path / "checkpoint.pt")
+    got = [resumed.iterate() for _ in range(2)][-1]
+    for name, value in expected.items():
+        if not name.endswith("_s"):
+            assert got[name] == value, name
+    for a, b in zip(whole.network.parameters(), resumed.network.parameters(), strict=True):
+        assert torch.equal(a, b)
+
+
+def test_numpy_policy_equals_torch(references: ReferenceSet, tmp_path: Path) -> None:
+    t = trainer(references, tmp_path)
+    for _ in range(2):
+        t.iterate()
+    with torch.no_grad():
+        t.network.actor[-1].weight.mul_(100.0)
+    t.save(tmp_path / "checkpoint.pt")
+    path = export_weights(tmp_path / "checkpoint.pt", tmp_path / "ppo.safetensors", {})
+    tracker = PpoTracker(t.env.ratio, path)
+    tensors = load_file(str(path))
+    network = ActorCritic(t.env.observation_size, t.env.hinges)
+    with torch.no_grad():
+        for i, layer in enumerate(m for m in network.actor if isinstance(m, torch.nn.Linear)):
+            layer.weight.copy_(torch.from_numpy(tensors[f"w{i}"].astype(np.float32)))
+            layer.bias.copy_(torch.from_numpy(tensors[f"b{i}"].astype(np.float32)))
+        observation = t.env.observe()
+        wanted = torch.clamp(network.actor(t.normalizer(torch.from_numpy(observation))), -1, 1).numpy()
+    np.testing.assert_allclose(tracker.network(observation), wanted, atol=1e-5)
+    assert np.abs(wanted).max() > 0.01
+    character = SimulatedCharacter(build_scene(HUMANOID, load_scene("flat")), tracker)
+    assert not character.step(3)["fallen"].any()
+
+
+def test_service_and_training_see_the_same(references: ReferenceSet) -> None:
+    env = TrackingEnv(HUMANOID, references, SMALL.model_copy(update={"envs": 1}), seed=0)
+    env.start_at(np.array([0]))
+    character = SimulatedCharacter(build_scene(HUMANOID, load_scene("flat")), PdStub())
+    character.reference._ticks = character.reference._ticks.rows(np.zeros(60, dtype=np.int64))
+    ticks = character.reference._ticks
+    clip = slice(0, 60)
+    ticks.pos_w_m[:] = references.pos_w_m[clip]
+    ticks.linvel_w_mps[:] = references.linvel_w_mps[clip]
+    ticks.qpos[:] = references.qpos[clip]
+    columns = references.rot_xy[clip].astype(np.float64)
+    from shared.motion.rotations import quat_from_matrix
+
+    matrices = np.stack([columns[..., 0, :], columns[..., 1, :], np.cross(columns[..., 0, :], columns[..., 1, :])], -1)
+    ticks.quat_w[:] = quat_from_matrix(matrices)
+    character.reference._first_tick = 0
+    character._data.qpos[:] = env.qpos[0]
+    character._data.qvel[:] = env.qvel[0]
+    seen = character.observe()
+    from tracker_service.policy.observations import observe
+
+    np.testing.assert_allclose(observe(policy_input([seen])), env.observe(), atol=2e-5)
+    led = feedforward_targets(seen.ref_hinge_rad[:1], seen.ref_hinge_rad[1:2], 30.0, env.ratio)
+    np.testing.assert_allclose(led, env.targets(np.zeros((1, 40), np.float32)), atol=1e-5)
+
+
+class PdStub:
+    """A tracker that is never asked."""
+
+    def reset(self, character_ids: object) -> None:
+        """Nothing to forget."""
+
+
+def test_exploded_states_are_dropped_and_begun_anew(references: ReferenceSet) -> None:
+    env = TrackingEnv(HUMANOID, references, SMALL, seed=0)
+    env.reset_all()
+    env.state[2, 1 + 47] = 1e9
+    result = env.step(np.zeros((6, 40), np.float32))
+    assert result.exploded.tolist() == [False, False, True, False, False, False]
+    assert np.isfinite(result.observation).all()
+    assert np.isfinite(env.state).all()
+    assert not (result.terminated | result.truncated)[2]
+
+
+def test_episodes_end_before_the_preview_runs_over_the_clip(references: ReferenceSet) -> None:
+    env = TrackingEnv(HUMANOID, references, SMALL, seed=0)
+    env.reset_all()
+    truncated = 0
+    for _ in range(60):
+        result = env.step(np.zeros((6, 40), np.float32))
+        assert (env.time + 5 <= env.references.length[env.clip]).all()
+        assert result.final_observation.shape == result.observation.shape
+        assert not (result.truncated & result.terminated).any()
+        truncated += int(result.truncated.sum())
+    assert truncated > 0
+
+
+def test_reward_is_highest_on_the_clip_that_was_asked_for(references: ReferenceSet) -> None:
+    pos, rot = references.pos_w_m[:5], references.rot_xy[:5]
+    assert rewards.position_reward(pos, pos) == pytest.approx(1.0)
+    assert rewards.rotation_reward(rot, rot) == pytest.approx(1.0, abs=2e-3)
+    moved = pos + np.float32([0.1, 0, 0])
+    assert rewards.position_reward(moved, pos) == pytest.approx(np.exp(-1.0), rel=1e-4)
+    angle = 0.3
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]], np.float32)
+    assert rewards.rotation_reward(rot @ turn.T, rot) == pytest.approx(np.exp(-10 * angle**2), rel=2e-3)
+    assert rewards.velocity_reward(pos + np.float32([1, 0, 0]), pos) == pytest.approx(np.exp(-1.0), rel=1e-4)
+
+
+def test_the_environments_reward_is_of_its_own_clip_at_its_own_tick() -> None:
+    """Two clips that differ: who moves as clip a is rewarded on a and not on b; likewise the other way round."""
+    pair = prepare(HUMANOID, [swaying("a"), MotionInput("b", "wave", 1.0, swaying("b").positions_w_m + [0.3, 0, 0])])
+    env = TrackingEnv(HUMANOID, pair, SMALL.model_copy(update={"envs": 4}), seed=0)
+    env.start_at(np.array([0, 1, 0, 1]))
+    bodies = pair.start[np.array([0, 1, 1, 0])]  # the last two stand where the other clip begins
+    env._set(np.arange(4), pair.qpos[bodies], pair.qvel[bodies])
+    distance, reward, exploded = env.advance(np.zeros((4, env.hinges), np.float32))
+    assert not exploded.any()
+    assert reward[:2].min() > 0.9
+    assert (reward[2:] < reward[:2] - 0.4).all()
+    np.testing.assert_allclose(distance[2:].mean(axis=-1), 0.3, atol=0.02)
+    # Clips are apart in the flat arrays: the reference never runs from one into the next.
+    env.time[:] = 10_000
+    assert (env._frames(0) == pair.start[env.clip] + pair.length[env.clip] - 1).all()
+    env.close()
+
+
+def test_evaluation_of_standing_still(references: ReferenceSet) -> None:
+    result = evaluate(SMALL, references, HUMANOID, lambda o: np.zeros((len(o), 40), np.float32))
+    assert result["clips"] == 2
+    assert result["success"] == 1.0
+    assert 0 < result["mpjpe_mm"] < 60
+    assert result["by_behaviour"]["stand"]["clips"] == 2
+
+
+def test_prepared_references_are_cached(tmp_path: Path) -> None:
+    made = prepare_cached(HUMANOID, [swaying("a")], tmp_path)
+    again = prepare_cached(HUMANOID, [swaying("a")], tmp_path)
+    assert len(list(tmp_path.iterdir())) == 1
+    np.testing.assert_array_equal(made.qpos, again.qpos)
+    np.testing.assert_allclose(made.pos_w_m, swaying("a").positions_w_m, atol=5e-3)
+
+
+def test_normalizer_equals_numpy_over_batches() -> None:
+    rng = np.random.default_rng(0)
+    data = (rng.normal(size=(500, 3)) * [1, 5, 0.2] + [0, 3, -1]).astype(np.float32)
+    normalizer = Normalizer(3)
+    for part in np.array_split(data, 7):
+        normalizer.update(part)
+    np.testing.assert_allclose(normalizer.mean.numpy(), data.mean(0), atol=1e-4)
+    np.testing.assert_allclose(normalizer.var.numpy(), data.var(0), rtol=1e-3)
+
+
+def test_bfloat16_layers_stay_close() -> None:
+    torch.manual_seed(0)
+    network = ActorCritic(20, 4)
+    x = torch.randn(64, 20)
+    exact, mixed = run_mixed(network.actor, x, False), run_mixed(network.actor, x, True)
+    assert float((exact - mixed).detach().abs().max()) < 1e-3
+
+
+def test_what_if_is_forgotten_and_foretells_the_step(references: ReferenceSet) -> None:
+    env = TrackingEnv(HUMANOID, references, SMALL, seed=0)
+    env.reset_all()
+    action = np.random.default_rng(0).normal(size=(6, 40)).astype(np.float32) * 0.3
+    with env.what_if():
+        _, reward, _ = env.advance(action)
+        foretold = env.observe()
+    with env.what_if():
+        env.advance(-action)
+        env.advance(action)
+    result = env.step(action)
+    np.testing.assert_array_equal(foretold, result.final_observation)
+    np.testing.assert_array_equal(reward, result.reward)
+
+
+def test_antithetic_advantages_point_where_the_reward_is(references: ReferenceSet, tmp_path: Path) -> None:
+    """On motion without disturbances the measured advantages explain, to first order, what the noise does."""
+    t = trainer(references, tmp_path)
+    rollout, _, _ = t._collect()
+    assert np.isfinite(rollout.contrast).all()
+    assert rollout.contrast.std() > 0
+    assert not rollout.contrast[rollout.exploded].any()

@@ -1,0 +1,422 @@
+"""One hosted character: the simulation with its recording, its pacing and its failures, behind one lock."""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import threading
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.errors import ConflictError, InvalidInputError, SimulationError
+from shared.motion.rotations import matrix_from_quat
+from shared.motion.skeleton import Skeleton
+from shared.plugins.interfaces import Tracker
+from shared.protocol.messages import (
+    TICK_HZ,
+    GetTicks,
+    Pacing,
+    Snapshot,
+    StateFrame,
+    TickRange,
+    Track,
+    TrackReply,
+)
+from tracker_service.service.plan_check import check_plan, late_reason
+from tracker_service.service.settings import TrackerServiceSettings
+from tracker_service.simulation.character import SimulatedCharacter
+from tracker_service.simulation.recorder import SAMPLE_HZ, Recorder, Samples, sample_stride
+
+SAMPLES_A_TICK = SAMPLE_HZ // TICK_HZ
+TAIL_SAMPLES = 2 * SAMPLE_HZ
+"""Samples of the log that travel in a snapshot: two seconds, so that a restored character has its prefix."""
+MAX_ROWS = 20_000
+Xy = tuple[float, float]
+log = logging.getLogger(__name__)
+
+
+@dataclass
+class Clock:
+    """Pacing of a character and how well it kept its time."""
+
+    pacing: Pacing
+    paused: bool = False
+    missed_ticks: int = 0
+
+
+class HostedCharacter:
+    """A simulated character with its log. All methods may be called from any thread.
+
+    Args:
+        character_id: from the envelope.
+        simulation: the character, standing at its start.
+        recorder: its empty log.
+        pacing: `lockstep` or `realtime`.
+        seed: of the character; kept with its snapshots.
+        settings: limits for plans.
+        dump_dir: where a failed state is written for replay.
+    """
+
+    def __init__(
+        self,
+        character_id: str,
+        simulation: SimulatedCharacter,
+        recorder: Recorder,
+        pacing: Pacing,
+        seed: int,
+        settings: TrackerServiceSettings,
+        dump_dir: Path,
+    ):
+        self.character_id = character_id
+        self.clock = Clock(pacing)
+        self.seed = seed
+        self.failure: str | None = None
+        self.closed = False
+        self._lock = threading.RLock()
+        self._simulation = simulation
+        self._recorder = recorder
+        self._settings = settings
+        self._dump_dir = dump_dir
+        self._log(simulation.sample())
+        self._last_good = simulation.snapshot()
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The character's skeleton."""
+        return self._simulation.human.skeleton
+
+    @property
+    def tick(self) -> int:
+        """The present tick."""
+        return self._simulation.tick
+
+    @property
+    def simulation(self) -> SimulatedCharacter:
+        """The simulation now in place; SetScene exchanges it."""
+        return self._simulation
+
+    def advance(self, ticks: int) -> StateFrame:
+        """Run some ticks; stops at the first at which physics fails, with `failure` set in the frame."""
+        with self._lock:
+            self._check_open()
+            for _ in range(ticks):
+                try:
+                    self._log(self._simulation.step(1))
+                except SimulationError as error:
+                    self._fail(error)
+                    break
+            return self.frame()
+
+    def lockstep(self, ticks: int) -> StateFrame:
+        """`advance` on request.
+
+        Raises:
+            ConflictError: the character is paced by the wall clock.
+        """
+        with self._lock:
+            if self.clock.pacing != "lockstep":
+                raise ConflictError("a realtime character steps by itself", field="pacing", allowed="lockstep")
+            self.failure = None
+            return self.advance(ticks)
+
+    def realtime_tick(self) -> StateFrame | None:
+        """`advance` by one tick on the clock's behalf; None if the character is paused or no longer realtime."""
+        with self._lock:
+            if self.clock.pacing != "realtime" or self.clock.paused:
+                return None
+            return self.advance(1)
+
+    def track(self, message: Track) -> TrackReply:
+        """Follow a plan, or drop it for being late; raises InvalidInputError for an unsound one, changing nothing."""
+        with self._lock:
+            self._check_open()
+            now = self.tick
+            self._check_actions(message)
+            check_plan(message, self.skeleton, self._last_row()["body_pos_w_m"][0], self._settings)
+            if message.start_tick > now + self._settings.max_ahead_ticks:
+                raise InvalidInputError(
+                    f"start_tick {message.start_tick} is too far ahead of tick {now}",
+                    field="start_tick",
+                    allowed=f"<= {now + self._settings.max_ahead_ticks}",
+                )
+            reason = late_reason(message, now, self._settings)
+            if reason is not None:
+                return TrackReply(accepted=False, tick=now, reason=reason)
+            simulation, reference = self._simulation, self._simulation.reference
+        # Inverse kinematics takes as long as several ticks, which must not wait for it.
+        prepared = simulation.prepared_reference(message.start_tick, message.positions_w_m)
+        with self._lock:
+            self._check_open()
+            now = self.tick
+            if self._simulation is not simulation or simulation.reference is not reference:
+                # Reset, restored or given another plan in between: this plan comes on top of that.
+                self._check_actions(message)
+                prepared = self._simulation.prepared_reference(message.start_tick, message.positions_w_m)
+            self._simulation.reference = prepared
+            if len(message.actions):
+                self._simulation.set_actions(message.start_tick, message.actions)
+            self.failure = None
+            self._last_good = self._simulation.snapshot()
+            return TrackReply(accepted=True, tick=now, entered_tick=max(now, message.start_tick))
+
+    def impulse(self, body: str, impulse_w_ns: tuple[float, float, float]) -> None:
+        """Push a body; raises InvalidInputError for an unknown one or too strong a push."""
+        limit = self._settings.impulse_limit_ns
+        if float(np.linalg.norm(impulse_w_ns)) > limit:
+            raise InvalidInputError(
+                f"an impulse of {np.linalg.norm(impulse_w_ns):.0f} N s",
+                field="impulse_w_ns",
+                allowed=f"<= {limit:g} N s",
+            )
+        if body not in self.skeleton.names:
+            raise InvalidInputError(f"unknown body {body!r}", field="body", allowed=", ".join(self.skeleton.names))
+        with self._lock:
+            self._check_open()
+            self._simulation.impulse(body, impulse_w_ns)
+            self._last_good = self._simulation.snapshot()
+
+    def reset(self, xy_w_m: Xy | None, heading_rad: float | None) -> StateFrame:
+        """Stand up at a place (None: where it is, facing as it does); clock and log go on."""
+        with self._lock:
+            self._check_open()
+            self._stand_up(*self._place(xy_w_m, heading_rad))
+            self.failure = None
+            return self.frame()
+
+    def replace_simulation(self, simulation: SimulatedCharacter) -> StateFrame:
+        """Go on in another world (SetScene): `simulation` takes over the clock, the log continues."""
+        with self._lock:
+            self._check_open()
+            simulation.tick = self.tick
+            simulation.reset(*self._place(None, None))
+            self._simulation = simulation
+            self._log_jump()
+            self.failure = None
+            return self.frame()
+
+    def set_tracker(self, tracker: Tracker) -> None:
+        """Let another tracker drive from the next tick on."""
+        with self._lock:
+            self._check_open()
+            self._simulation.set_tracker(tracker)
+            self._last_good = self._simulation.snapshot()
+
+    def set_pacing(self, pacing: Pacing, paused: bool) -> StateFrame:
+        """Change who advances the character; the caller tells the realtime clock."""
+        with self._lock:
+            self._check_open()
+            self.clock.pacing, self.clock.paused = pacing, paused
+            return self.frame()
+
+    def frame(self) -> StateFrame:
+        """The present state."""
+        with self._lock:
+            self._check_open()
+            row = self._last_row()
+            poses = row["object_pose_w"].astype("<f4")
+            simulation = self._simulation
+            return StateFrame(
+                character_id=self.character_id,
+                tick=simulation.tick,
+                time_s=simulation.tick / TICK_HZ,
+                pacing=self.clock.pacing,
+                paused=self.clock.paused,
+                tracker=simulation.tracker.spec.name,
+                scene=simulation.scene.scene.name,
+                body_pos_w_m=row["body_pos_w_m"],
+                body_quat_w=row["body_quat_w"],
+                body_linvel_w_mps=row["body_linvel_w_mps"],
+                contacts=row["contacts"],
+                reference_pos_w_m=row["reference_pos_w_m"],
+                objects=list(simulation.scene.object_names),
+                object_pos_w_m=poses[:, :3],
+                object_quat_w=poses[:, 3:],
+                tracking_error_m=float(row["tracking_error_m"]),
+                fallen=bool(row["fallen"]),
+                plan_end_tick=simulation.reference.plan_end_tick,
+                missed_ticks=self.clock.missed_ticks,
+                failure=self.failure,
+            )
+
+    def ticks(self, message: GetTicks) -> TickRange:
+        """A range of the log. Raises InvalidInputError for one that has not happened yet, or is too long."""
+        stride = sample_stride(message.rate_hz)
+        now, objects = self.tick, self._simulation.scene.object_names
+        start, stop = message.start_tick * SAMPLES_A_TICK, message.stop_tick * SAMPLES_A_TICK
+        if message.stop_tick > now + 1:
+            raise InvalidInputError(
+                f"tick {message.stop_tick - 1} has not happened yet", field="stop_tick", allowed=f"<= {now + 1}"
+            )
+        if message.start_tick > message.stop_tick:
+            raise InvalidInputError(
+                f"start_tick {message.start_tick} is after stop_tick", field="start_tick",
+                allowed=f"<= {message.stop_tick}",
+            )  # fmt: skip
+        if (stop - start) // stride > MAX_ROWS:
+            raise InvalidInputError(
+                f"{(stop - start) // stride} samples in one range", field="stop_tick", allowed=f"{MAX_ROWS} samples"
+            )
+        # A realtime tick counts up before its samples are in the log: what is not there yet is not read.
+        there = min(now * SAMPLES_A_TICK + 1, self._recorder.next_sample)
+        samples = self._recorder.read(start, min(stop, there), stride)
+        reference = samples["reference_pos_w_m"]
+        return TickRange(
+            start_tick=message.start_tick,
+            rate_hz=message.rate_hz,
+            objects=list(objects),
+            body_pos_w_m=samples["body_pos_w_m"],
+            body_quat_w=samples["body_quat_w"],
+            body_linvel_w_mps=samples["body_linvel_w_mps"],
+            contacts=samples["contacts"],
+            object_pose_w=samples["object_pose_w"],
+            tracking_error_m=samples["tracking_error_m"],
+            fallen=samples["fallen"],
+            reference_pos_w_m=reference if message.include_reference else reference[:0],
+        )
+
+    def snapshot(self) -> Snapshot:
+        """Everything needed to go on bit for bit, and the last two seconds of the log."""
+        with self._lock:
+            self._check_open()
+            meta, state, buffers = self._simulation.snapshot()
+            last = self.tick * SAMPLES_A_TICK
+            first = max(self._recorder.first_sample, last + 1 - TAIL_SAMPLES)
+            tail = _pack(self._recorder.read(first, last + 1))
+            about = {"pacing": self.clock.pacing, "seed": self.seed, "first_sample": first}
+            about["tail_bytes"] = len(tail)
+            return Snapshot(
+                tick=self.tick, meta={**meta, **about}, state=state, buffers=np.concatenate([tail, buffers])
+            )
+
+    def restore(self, meta: Mapping[str, Any], state: npt.NDArray[np.float64], buffers: npt.NDArray[np.uint8]) -> None:
+        """Go on from a snapshot. The log keeps what it has from before the snapshot's tick, else its two seconds.
+
+        Raises:
+            InvalidInputError: a snapshot of another scene or character, or a damaged one; nothing is changed.
+        """
+        with self._lock:
+            self._check_open()
+            tail, rest = _split_buffers(meta, buffers)
+            backup = self._simulation.snapshot()
+            try:
+                self._simulation.restore(meta, np.asarray(state), rest)
+            except (InvalidInputError, zipfile.BadZipFile) as error:
+                self._simulation.restore(*backup)
+                raise InvalidInputError(f"the snapshot is damaged: {error}", field="buffers") from error
+            first = int(meta["first_sample"])
+            if not self._recorder.first_sample <= first <= self._recorder.next_sample:
+                self._recorder.begin_at(first)
+            self._recorder.truncate(first)
+            self._log(tail)
+            self.seed = int(meta["seed"])
+            self.failure = None
+            self._last_good = self._simulation.snapshot()
+
+    def close(self) -> None:
+        """Forget the log; later calls raise ConflictError."""
+        with self._lock:
+            self.closed = True
+            self._recorder.close()
+
+    @property
+    def recorder(self) -> Recorder:
+        """The log."""
+        return self._recorder
+
+    # --- inside, the lock is held ---
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise ConflictError(f"character {self.character_id!r} was closed", field="character_id")
+
+    def _check_actions(self, message: Track) -> None:
+        if len(message.actions) == 0:
+            return
+        spec = self._simulation.tracker.spec
+        if spec.drives != "actions":
+            raise InvalidInputError(
+                f"tracker {spec.name!r} takes no action chunks", field="actions", allowed="none, or another tracker"
+            )
+        hinges = len(self._simulation.human.hinges)
+        if message.actions.shape[1] != hinges:
+            raise InvalidInputError(
+                f"the actions have shape {message.actions.shape}", field="actions", allowed=f"(A, {hinges})"
+            )
+
+    def _log(self, samples: Samples) -> None:
+        kept = {n: a.astype("<f4") if a.dtype.kind == "f" else a.astype("|u1") for n, a in samples.items()}
+        self._recorder.append(kept)
+        self._last = {name: array[-1] for name, array in kept.items()}
+
+    def _last_row(self) -> Samples:
+        return self._last
+
+    def _place(self, xy_w_m: Xy | None, heading_rad: float | None) -> tuple[tuple[float, float], float]:
+        row = self._last_row()
+        if xy_w_m is None:
+            x, y = (float(v) for v in row["body_pos_w_m"][0, :2])
+            xy_w_m = (x, y)
+        if heading_rad is None:
+            forward = matrix_from_quat(row["body_quat_w"][0])[:, 0]
+            heading_rad = float(np.arctan2(forward[1], forward[0]))
+        return xy_w_m, heading_rad
+
+    def _stand_up(self, xy_w_m: Xy, heading_rad: float) -> None:
+        self._simulation.reset(xy_w_m, heading_rad)
+        self._log_jump()
+
+    def _log_jump(self) -> None:
+        """Log the state after a reset: it replaces the sample of its tick and fills ticks the clock jumped over."""
+        self._recorder.truncate(min(self._recorder.next_sample, self.tick * SAMPLES_A_TICK))
+        missing = self.tick * SAMPLES_A_TICK + 1 - self._recorder.next_sample
+        sample = self._simulation.sample()
+        self._log({name: np.repeat(array, missing, axis=0) for name, array in sample.items()})
+        self._last_good = self._simulation.snapshot()
+
+    def _fail(self, error: SimulationError) -> None:
+        """Write the last sound state for replay, stand the character up where it was, and say so."""
+        meta, state, buffers = self._last_good
+        failed_tick = self._simulation.tick
+        path = self._dump_dir / f"{_file_name(self.character_id)}-{failed_tick}.npz"
+        try:
+            self._dump_dir.mkdir(parents=True, exist_ok=True)
+            about = json.dumps({**meta, "failed_tick": failed_tick, "reason": error.message})
+            np.savez(path, state=state, buffers=buffers, about=np.array(about))
+            dumped = str(path)
+        except OSError as problem:
+            dumped = f"not dumped: {problem}"
+        log.error("%s: %s (%s)", self.character_id, error.message, dumped)
+        self._simulation.tick = self._recorder.next_sample // SAMPLES_A_TICK
+        self._stand_up(*self._place(None, None))
+        self.failure = f"{error.message}; character reset; state for replay: {dumped}"
+
+
+def _file_name(character_id: str) -> str:
+    return "".join(c if c.isalnum() or c in "-_" else "_" for c in character_id) or "character"
+
+
+def _pack(samples: Samples) -> npt.NDArray[np.uint8]:
+    out = io.BytesIO()
+    np.savez(out, **samples)  # type: ignore[arg-type]
+    return np.frombuffer(out.getvalue(), dtype=np.uint8)
+
+
+def _split_buffers(meta: Mapping[str, Any], buffers: npt.NDArray[np.uint8]) -> tuple[Samples, npt.NDArray[np.uint8]]:
+    """The tail of the log and the simulation's own part; raises InvalidInputError for a damaged snapshot."""
+    try:
+        size = int(meta["tail_bytes"])
+        int(meta["first_sample"]), int(meta["seed"])
+        with np.load(io.BytesIO(buffers[:size].tobytes()), allow_pickle=False) as data:
+            tail: Samples = {name: data[name] for name in data.files}
+        if "fallen" not in tail:
+            raise ValueError("the log is missing")
+    except (KeyError, ValueError, TypeError, OSError, EOFError, zipfile.BadZipFile) as error:
+        raise InvalidInputError(f"the snapshot is damaged: {error}", field="buffers") from error
+    return tail, buffers[size:]

@@ -1,0 +1,48 @@
+"""The tracker service as a process: `python -m tracker_service --endpoint tcp://127.0.0.1:5602`."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import signal
+import sys
+import threading
+
+from shared.errors import MotionLoopError
+from shared.settings import add_arguments, load_settings
+from tracker_service.service.settings import TrackerServiceSettings
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Serve until SIGTERM or Ctrl-C; exit code 2 for settings that cannot be used."""
+    # One thread for each linear algebra call: several busy processes on few cores are far slower with more.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    parser = argparse.ArgumentParser("tracker_service", description=__doc__)
+    add_arguments(parser, TrackerServiceSettings)
+    try:
+        settings = load_settings(TrackerServiceSettings, vars(parser.parse_args(argv)))
+        logging.basicConfig(level=settings.log_level.upper(), format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+        return serve(settings)
+    except MotionLoopError as error:
+        allowed = f" (allowed: {error.allowed})" if error.allowed else ""
+        print(f"tracker_service: {error.field or 'error'}: {error.message}{allowed}", file=sys.stderr)
+        return 2
+
+
+def serve(settings: TrackerServiceSettings) -> int:
+    """Run the service, print one line when it is ready, end cleanly on a signal."""
+    from tracker_service.service.service import TrackerService
+
+    # A tick gives up the interpreter's lock in every call into MuJoCo; the default of 5 ms would have it wait that long
+    # to go on each time another thread computes.
+    sys.setswitchinterval(0.0005)
+    ended = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: ended.set())
+    with TrackerService(settings) as service:
+        print(f"tracker_service ready endpoint={service.endpoint} state={service.state_endpoint}", flush=True)
+        ended.wait()
+    print("tracker_service ended", flush=True)
+    return 0

@@ -1,0 +1,72 @@
+"""The trackers this service offers: built-ins and those of installed packages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from shared.errors import InvalidInputError, UnavailableError
+from shared.plugins.interfaces import Tracker
+from shared.plugins.registry import TRACKERS, PluginRegistry
+from tracker_service.policy.ppo import WEIGHTS
+from tracker_service.policy.registry import tracker_factories
+from tracker_service.simulation.character_spec import HUMAN
+from tracker_service.simulation.humanoid import humanoid
+
+PREFERRED = ("ppo", "pd", "kinematic")
+
+
+def builtin_trackers(weights: Path = WEIGHTS) -> dict[str, Callable[[], Tracker]]:
+    """Name -> factory of the trackers that come with motionloop, for the character `human`."""
+    return {name: _or_unavailable(make) for name, make in tracker_factories(humanoid(HUMAN), weights).items()}
+
+
+def _or_unavailable(make: Callable[[], Tracker]) -> Callable[[], Tracker]:
+    """A factory whose missing weights withdraw its plug-in instead of ending the service."""
+
+    def checked() -> Tracker:
+        try:
+            return make()
+        except InvalidInputError as error:
+            raise UnavailableError(error.message) from error
+
+    return checked
+
+
+class TrackerCatalogue:
+    """Trackers by name and the default one.
+
+    Args:
+        only: names to offer; empty for all that can be made.
+        default: name of the default; empty for the first there is of ppo, pd, kinematic, others.
+        builtin: factories by name.
+    """
+
+    def __init__(
+        self,
+        only: tuple[str, ...] = (),
+        default: str = "",
+        builtin: dict[str, Callable[[], Tracker]] | None = None,
+    ):
+        self._registry: PluginRegistry[Tracker] = PluginRegistry(
+            TRACKERS, builtin_trackers() if builtin is None else builtin, only or None
+        )
+        self._made = self._registry.load_all()
+        if not self._made:
+            raise InvalidInputError(f"no tracker can be loaded: {self._registry.withdrawn()}", field="trackers")
+        if default and default not in self._made:
+            raise InvalidInputError(f"no tracker {default!r}", field="default_tracker", allowed=", ".join(self._made))
+        self.default = default or next((name for name in PREFERRED if name in self._made), next(iter(self._made)))
+
+    def get(self, name: str | None) -> Tracker:
+        """The tracker, or the default one for None; raises InvalidInputError listing the names."""
+        if name is None:
+            return self._made[self.default]
+        if name not in self._made:
+            raise InvalidInputError(f"unknown tracker {name!r}", field="tracker", allowed=", ".join(self._made))
+        return self._made[name]
+
+    def specs(self) -> list[dict[str, object]]:
+        """What each tracker declares, as JSON objects, the default first."""
+        names = [self.default, *(name for name in self._made if name != self.default)]
+        return [self._made[name].spec.model_dump(mode="json") for name in names]

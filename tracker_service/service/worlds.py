@@ -1,0 +1,49 @@
+"""Building simulated characters from names, with compiled scenes kept, and how their scenes look."""
+
+from __future__ import annotations
+
+import threading
+
+from shared.plugins.interfaces import Tracker
+from shared.scenes.schema import Scene, load_scene
+from tracker_service.simulation.character import SimulatedCharacter
+from tracker_service.simulation.character_spec import character
+from tracker_service.simulation.humanoid import humanoid
+from tracker_service.simulation.scene import SceneModel, build_scene
+from tracker_service.simulation.scene_shapes import SceneShape
+
+
+class Worlds:
+    """Compiled scenes by character and scene name; MuJoCo models are read-only and shared by their characters."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._models: dict[tuple[str, str], SceneModel] = {}
+
+    def scene_model(self, character_name: str, scene_name: str) -> SceneModel:
+        """The compiled world; raises InvalidInputError or NotFoundError that list the known names."""
+        with self._lock:
+            key = (character_name, scene_name)
+            if key not in self._models:
+                human = humanoid(character(character_name))
+                self._models[key] = build_scene(human, load_scene(scene_name))
+            return self._models[key]
+
+    def simulation(
+        self,
+        character_name: str,
+        scene_name: str,
+        tracker: Tracker,
+        character_id: str,
+        xy_w_m: tuple[float, float] = (0.0, 0.0),
+        heading_rad: float = 0.0,
+    ) -> SimulatedCharacter:
+        """A character standing at a place in a scene."""
+        return SimulatedCharacter(
+            self.scene_model(character_name, scene_name), tracker, character_id, xy_w_m, heading_rad
+        )
+
+
+def scene_shapes(scene: Scene) -> tuple[SceneShape, ...]:
+    """The scene's objects as the renderer draws them; each follows the pose that the log has for it."""
+    return tuple(SceneShape(body.name, body.shape, tuple(body.size_m)) for body in scene.bodies)

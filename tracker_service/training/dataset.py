@@ -1,0 +1,106 @@
+"""Reference motion prepared for training: every clip's poses, velocities and hinge angles, as flat arrays."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from tracker_service.simulation.humanoid import Humanoid
+from tracker_service.simulation.kinematics import BodyKinematics, qvel_from_qpos
+from tracker_service.simulation.reference import TICK_HZ, central_velocity, reference_ticks
+
+F32 = npt.NDArray[np.float32]
+PREPARATION = "4"
+"""Changes whenever prepared arrays would come out differently; part of the cache's key."""
+
+
+@dataclass(frozen=True)
+class MotionInput:
+    """A clip to prepare: its name, behaviour, sampling weight and joint positions (T, 22, 3) at 30 Hz."""
+
+    name: str
+    behaviour: str
+    weight: float
+    positions_w_m: npt.NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class ReferenceSet:
+    """N ticks of C clips. J bodies, H hinges.
+
+    Attributes:
+        pos_w_m, linvel_w_mps: (N, J, 3). rot_xy: (N, J, 2, 3) the first two columns of each body's world rotation.
+        qpos: (N, 7+H). qvel: (N, 6+H).
+        start, length: (C,) first tick and number of ticks of each clip. weight: (C,) for sampling.
+        names, behaviours: (C,) of each clip.
+    """
+
+    pos_w_m: F32
+    linvel_w_mps: F32
+    rot_xy: F32
+    qpos: F32
+    qvel: F32
+    start: npt.NDArray[np.int64]
+    length: npt.NDArray[np.int64]
+    weight: npt.NDArray[np.float64]
+    names: npt.NDArray[np.str_]
+    behaviours: npt.NDArray[np.str_]
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+
+def prepare(
+    human: Humanoid, motions: Sequence[MotionInput], progress: Callable[[str, float], None] | None = None
+) -> ReferenceSet:
+    """Inverse kinematics, hinges and velocities of all clips; `progress(what, share)` is called now and then."""
+    kinematics = BodyKinematics(human)
+    parts: dict[str, list[F32]] = {"pos_w_m": [], "linvel_w_mps": [], "rot_xy": [], "qpos": [], "qvel": []}
+    for number, motion in enumerate(motions):
+        ticks = reference_ticks(human, kinematics, motion.positions_w_m)
+        qvel = qvel_from_qpos(ticks.qpos, TICK_HZ)
+        states = kinematics.states(ticks.qpos, qvel)
+        parts["pos_w_m"].append(ticks.pos_w_m.astype(np.float32))
+        parts["linvel_w_mps"].append(central_velocity(ticks.pos_w_m, TICK_HZ).astype(np.float32))
+        parts["rot_xy"].append(np.ascontiguousarray(states.rot_w[..., :2].swapaxes(-1, -2)).astype(np.float32))
+        parts["qpos"].append(ticks.qpos.astype(np.float32))
+        parts["qvel"].append(qvel.astype(np.float32))
+        if progress is not None and number % 50 == 0:
+            progress("preparing references", number / len(motions))
+    lengths = np.array([len(m.positions_w_m) for m in motions], dtype=np.int64)
+    return ReferenceSet(
+        **{name: np.concatenate(arrays) for name, arrays in parts.items()},
+        start=np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(np.int64),
+        length=lengths,
+        weight=np.array([m.weight for m in motions], dtype=np.float64),
+        names=np.array([m.name for m in motions], dtype=np.str_),
+        behaviours=np.array([m.behaviour for m in motions], dtype=np.str_),
+    )
+
+
+def prepare_cached(
+    human: Humanoid,
+    motions: Sequence[MotionInput],
+    folder: Path,
+    progress: Callable[[str, float], None] | None = None,
+) -> ReferenceSet:
+    """As `prepare`, kept in `folder` under a hash of the motions and the character."""
+    digest = hashlib.sha256((PREPARATION + human.character.model_dump_json()).encode())
+    for motion in motions:
+        digest.update(f"{motion.name}|{motion.behaviour}|{motion.weight}".encode())
+        digest.update(np.ascontiguousarray(motion.positions_w_m, dtype=np.float32).tobytes())
+    path = folder / f"references_{digest.hexdigest()[:16]}.npz"
+    if path.exists():
+        with np.load(path, allow_pickle=False) as data:
+            return ReferenceSet(**{field.name: data[field.name] for field in fields(ReferenceSet)})
+    made = prepare(human, motions, progress)
+    folder.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".tmp.npz")
+    np.savez(partial, **{field.name: getattr(made, field.name) for field in fields(ReferenceSet)})
+    partial.replace(path)
+    return made

@@ -1,0 +1,331 @@
+"""Many humanoids that follow reference clips, stepped together by `mujoco.rollout`.
+
+An episode starts on a clip's own state (reference-state initialisation) and ends when the body is too far from the
+reference (termination), or by time or the clip's end (truncation, which is not termination). It ends early enough that
+the preview never runs over the clip's last tick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+from mujoco import rollout
+from pydantic import BaseModel, ConfigDict, Field
+
+from tracker_service.policy.observations import (
+    PREVIEW_TICKS,
+    PolicyInput,
+    feedforward_targets,
+    observation_size,
+    observe,
+)
+from tracker_service.simulation.humanoid import PHYSICS_HZ, Humanoid, humanoid_model
+from tracker_service.simulation.kinematics import BodyKinematics, BodyStates
+from tracker_service.simulation.reference import TICK_HZ
+from tracker_service.training import rewards
+from tracker_service.training.dataset import ReferenceSet
+
+F32 = npt.NDArray[np.float32]
+Ints = npt.NDArray[np.int64]
+Bools = npt.NDArray[np.bool_]
+
+SUBSTEPS = PHYSICS_HZ // TICK_HZ
+_FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_TAIL_TICKS = max(PREVIEW_TICKS) + 1
+
+
+class EnvSettings(BaseModel):
+    """How episodes go.
+
+    Attributes:
+        envs: humanoids at once. threads: of physics.
+        action_scale_rad: servo targets move by at most this from the led reference.
+        episode_ticks: longest episode.
+        stop_mean_m, stop_max_m: mean and largest joint distance that end an episode.
+        noise_*: of the starting state. push_*: chance a tick and size of a sudden change of the root's velocity.
+        jump_*: chance a tick and size of a sideways jump of the reference, which decays by jump_decay a tick
+            (a plan's junction).
+    """
+
+    model_config = ConfigDict(frozen=True)
+    envs: int = Field(default=320, gt=0)
+    threads: int = Field(default=1, ge=1)
+    action_scale_rad: float = 0.4
+    episode_ticks: int = 300
+    stop_mean_m: float = 0.25
+    stop_max_m: float = 0.6
+    noise_hinge_rad: float = 0.03
+    noise_root_m: float = 0.02
+    noise_rate: float = 0.1
+    push_chance: float = 1 / 150
+    push_mps: float = 0.3
+    jump_chance: float = 1 / 120
+    jump_m: float = 0.05
+    jump_decay: float = 0.92
+    fail_floor: float = 0.15
+    exploded_mps: float = 30.0
+
+
+@dataclass(frozen=True)
+class StepResult:
+    """What a step gives. B environments.
+
+    Attributes:
+        observation: (B, D) after the step, of the new episode where one began.
+        reward: (B,). terminated, truncated, exploded: (B,) how episodes ended.
+        final_observation: (B, D) right after the tick, before new episodes and disturbances.
+        error_m: (B,) mean joint distance.
+        disturbed: rows of the environments that were disturbed after the tick.
+    """
+
+    observation: F32
+    reward: F32
+    terminated: Bools
+    truncated: Bools
+    exploded: Bools
+    final_observation: F32
+    error_m: F32
+    disturbed: Ints
+
+
+class TrackingEnv:
+    """See the module's docstring."""
+
+    def __init__(self, human: Humanoid, references: ReferenceSet, settings: EnvSettings, seed: int):
+        self.settings = settings
+        self.human = human
+        self.references = references
+        self.model = humanoid_model(human)
+        self.kinematics = BodyKinematics(human)
+        threads = settings.threads
+        self._rollout = rollout.Rollout(nthread=threads if threads > 1 else 0)
+        self._data = [mujoco.MjData(self.model) for _ in range(threads)]
+        b, h = settings.envs, len(human.hinges)
+        self.rng = np.random.default_rng(seed)
+        self.state = np.zeros((b, mujoco.mj_stateSize(self.model, _FULL)))
+        self.clip = np.zeros(b, dtype=np.int64)
+        self.time = np.zeros(b, dtype=np.int64)
+        self.age = np.zeros(b, dtype=np.int64)
+        self.jump_m = np.zeros((b, 2))
+        self.previous_action = np.zeros((b, h), dtype=np.float32)
+        self.fail_rate = np.full(len(references), 0.5)
+        self.behaviour_groups = np.unique(references.behaviours)
+        self.ratio = human.damping / human.stiffness
+        self.observation_size = observation_size(len(human.skeleton), h)
+        self.hinges = h
+        self._nq, self._nv = self.model.nq, self.model.nv
+        self._bodies: BodyStates | None = None
+
+    def close(self) -> None:
+        """Stop the physics threads."""
+        self._rollout.close()
+
+    def reset_all(self) -> F32:
+        """Begin a new episode everywhere; first observations (B, D)."""
+        everyone = np.arange(self.settings.envs)
+        self._begin(everyone)
+        self.age[:] = self.rng.integers(0, self.settings.episode_ticks, len(everyone))
+        return self.observe()
+
+    def start_at(self, clips: Ints) -> F32:
+        """Put environment i at the start of clips[i], without noise (evaluation); first observations."""
+        self.clip[:] = clips
+        self.time[:] = 0
+        self.age[:] = 0
+        self.jump_m[:] = 0
+        self.previous_action[:] = 0
+        frames = self.references.start[clips]
+        self._set(np.arange(len(clips)), self.references.qpos[frames], self.references.qvel[frames])
+        return self.observe()
+
+    def clip_probabilities(self) -> npt.NDArray[np.float64]:
+        """(C,) chance of each clip: its weight, more for those that fail now and then: f (1 - f) is largest where most
+        is to be learnt, and neither clips that are mastered nor those still out of reach fill the batch."""
+        usable = self.references.length > 2 * _TAIL_TICKS
+        f = self.fail_rate
+        p = self.references.weight * (self.settings.fail_floor + 4.0 * f * (1.0 - f)) * usable
+        return np.asarray(p / p.sum())
+
+    def _begin(self, rows: Ints) -> None:
+        rng, s, n = self.rng, self.settings, len(rows)
+        clips = rng.choice(len(self.references), size=n, p=self.clip_probabilities())
+        room = self.references.length[clips] - 2 * _TAIL_TICKS
+        times = (rng.random(n) * room).astype(np.int64)
+        times[rng.random(n) < 0.15] = 0
+        self.clip[rows], self.time[rows], self.age[rows] = clips, times, 0
+        self.jump_m[rows] = 0
+        self.previous_action[rows] = 0
+        frames = self.references.start[clips] + times
+        qpos = self.references.qpos[frames].astype(np.float64)
+        qvel = self.references.qvel[frames].astype(np.float64)
+        qpos[:, 7:] += rng.normal(size=(n, self.hinges)) * s.noise_hinge_rad
+        qpos[:, :2] += rng.normal(size=(n, 2)) * s.noise_root_m
+        qpos[:, 3:7] += rng.normal(size=(n, 4)) * 0.01
+        qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=-1, keepdims=True)
+        qvel += rng.normal(size=qvel.shape) * s.noise_rate
+        self._set(rows, qpos, qvel)
+
+    def _set(self, rows: Ints, qpos: npt.NDArray[np.floating], qvel: npt.NDArray[np.floating]) -> None:
+        self.state[rows, 0] = 0.0
+        self.state[rows, 1 : 1 + self._nq] = qpos
+        self.state[rows, 1 + self._nq : 1 + self._nq + self._nv] = qvel
+        self._refresh(rows)
+
+    def _refresh(self, rows: Ints) -> None:
+        """Body states of a few environments anew, after their generalised coordinates were changed."""
+        if self._bodies is None or len(rows) == 0:
+            return
+        fresh = self.kinematics.states(self.qpos[rows], self.qvel[rows])
+        self._bodies.pos_w_m[rows], self._bodies.rot_w[rows] = fresh.pos_w_m, fresh.rot_w
+        self._bodies.linvel_w_mps[rows] = fresh.linvel_w_mps
+        self._bodies.angvel_w_radps[rows] = fresh.angvel_w_radps
+
+    def moved(self) -> None:
+        """Tell that `state` was changed from outside."""
+        self._bodies = None
+
+    @property
+    def qpos(self) -> npt.NDArray[np.float64]:
+        """(B, 7+H)."""
+        return np.asarray(self.state[:, 1 : 1 + self._nq])
+
+    @property
+    def qvel(self) -> npt.NDArray[np.float64]:
+        """(B, 6+H)."""
+        return np.asarray(self.state[:, 1 + self._nq : 1 + self._nq + self._nv])
+
+    def bodies(self) -> BodyStates:
+        """World states of all bodies now."""
+        if self._bodies is None:
+            self._bodies = self.kinematics.states(self.qpos, self.qvel)
+        return self._bodies
+
+    def _frames(self, ahead: int, rows: Ints | slice = slice(None)) -> Ints:
+        clip = self.clip[rows]
+        last = self.references.length[clip] - 1
+        return np.asarray(self.references.start[clip] + np.minimum(self.time[rows] + ahead, last))
+
+    def observe(self, rows: Ints | slice = slice(None)) -> F32:
+        """(B, D) observations now, of some environments or all."""
+        ref, bodies = self.references, self.bodies()
+        near = self._frames(PREVIEW_TICKS[0], rows)
+        ref_pos = np.stack([ref.pos_w_m[self._frames(k, rows)] for k in PREVIEW_TICKS], axis=1).astype(np.float64)
+        jump = self.jump_m[rows]
+        for k, ticks in enumerate(PREVIEW_TICKS):
+            ref_pos[:, k, :, :2] += (jump * self.settings.jump_decay**ticks)[:, None]
+        rot_xy = ref.rot_xy[near, 0].astype(np.float64)
+        root_rot = np.stack([rot_xy[:, 0], rot_xy[:, 1], np.cross(rot_xy[:, 0], rot_xy[:, 1])], axis=-1)
+        return observe(
+            PolicyInput(
+                pos_w_m=bodies.pos_w_m[rows],
+                linvel_w_mps=bodies.linvel_w_mps[rows],
+                root_rot_w=bodies.rot_w[rows, 0],
+                root_angvel_w_radps=bodies.angvel_w_radps[rows, 0],
+                hinge_rad=self.qpos[rows, 7:],
+                hinge_vel_radps=self.qvel[rows, 6:],
+                ref_pos_w_m=ref_pos,
+                ref_linvel_w_mps=ref.linvel_w_mps[near].astype(np.float64),
+                ref_root_rot_w=root_rot,
+                ref_hinge_rad=np.stack([ref.qpos[self._frames(k, rows), 7:] for k in PREVIEW_TICKS], axis=1),
+            )
+        )
+
+    def targets(self, action: F32) -> npt.NDArray[np.float64]:
+        """Servo targets (B, H) of clipped actions."""
+        ref = self.references.qpos
+        base = feedforward_targets(ref[self._frames(1), 7:], ref[self._frames(2), 7:], TICK_HZ, self.ratio)
+        wanted = base + self.settings.action_scale_rad * np.clip(action, -1.0, 1.0)
+        return np.asarray(np.clip(wanted, self.human.hinges.lower, self.human.hinges.upper), dtype=np.float64)
+
+    def advance(self, action: F32) -> tuple[F32, F32, Bools]:
+        """One tick of physics under actions (B, H), no resets.
+
+        Returns:
+            joint distances to the reference (B, J), reward (B,), and which environments exploded (B,); an exploded one
+            keeps the state it had.
+        """
+        s = self.settings
+        control = np.repeat(self.targets(action)[:, None], SUBSTEPS, axis=1)
+        states, _ = self._rollout.rollout(self.model, self._data, self.state, control, nstep=SUBSTEPS)
+        new = states[:, -1]
+        speed = np.abs(new[:, 1 + self._nq : 1 + self._nq + 6])
+        exploded = ~np.isfinite(new).all(axis=-1) | ~(speed.max(axis=-1) < s.exploded_mps)
+        self.state = np.where(exploded[:, None], self.state, new)
+        self._bodies = None
+        self.time += 1
+        self.age += 1
+        self.jump_m *= s.jump_decay
+        bodies, ref, now = self.bodies(), self.references, self._frames(0)
+        pos = bodies.pos_w_m.astype(np.float32)
+        target = ref.pos_w_m[now].copy()
+        target[..., :2] += self.jump_m.astype(np.float32)[:, None]
+        distance = np.linalg.norm(pos - target, axis=-1)
+        rot_xy = bodies.rot_w[..., :2].swapaxes(-1, -2).astype(np.float32)
+        clipped = np.clip(action, -1.0, 1.0)
+        reward = (
+            0.5 * rewards.position_reward(pos, target)
+            + 0.3 * rewards.rotation_reward(rot_xy, ref.rot_xy[now])
+            + 0.1 * rewards.velocity_reward(bodies.linvel_w_mps.astype(np.float32), ref.linvel_w_mps[now])
+            + 0.1 * rewards.hinge_rate_reward(self.qvel[:, 6:].astype(np.float32), ref.qvel[now, 6:])
+            - 0.02 * rewards.smoothness_cost(clipped, self.previous_action)
+        )
+        self.previous_action = clipped
+        return distance, np.asarray(reward, dtype=np.float32), exploded
+
+    @contextmanager
+    def what_if(self) -> Iterator[None]:
+        """Ticks advanced inside this context are forgotten when it ends."""
+        names = ("state", "time", "age", "jump_m", "previous_action", "_bodies")
+        kept = {name: getattr(self, name) for name in names}
+        self.time, self.age, self.jump_m = self.time.copy(), self.age.copy(), self.jump_m.copy()
+        try:
+            yield
+        finally:
+            for name, value in kept.items():
+                setattr(self, name, value)
+
+    def failed(self, distance: F32) -> Bools:
+        """(B,) whether joint distances (B, J) end an episode."""
+        s = self.settings
+        return np.asarray((distance.mean(axis=-1) > s.stop_mean_m) | (distance.max(axis=-1) > s.stop_max_m))
+
+    def over(self) -> Bools:
+        """(B,) whether an episode ends here by time or because its clip does."""
+        late = self.time >= self.references.length[self.clip] - _TAIL_TICKS
+        return np.asarray((self.age >= self.settings.episode_ticks) | late)
+
+    def step(self, action: F32) -> StepResult:
+        """One tick, then new episodes where one ended, then the disturbances."""
+        distance, reward, exploded = self.advance(action)
+        terminated = self.failed(distance) & ~exploded
+        truncated = self.over() & ~terminated & ~exploded
+        final = self.observe()
+        rows = np.flatnonzero(terminated | truncated | exploded)
+        for clip, fail in zip(self.clip[rows], (terminated | exploded)[rows], strict=True):
+            self.fail_rate[clip] += 0.1 * (float(fail) - self.fail_rate[clip])
+        if len(rows):
+            self._begin(rows)
+        disturbed = self._disturb()
+        changed = np.union1d(rows, disturbed)
+        observation = final.copy()
+        if len(changed):
+            observation[changed] = self.observe(changed)
+        error = np.asarray(distance.mean(axis=-1), dtype=np.float32)
+        return StepResult(observation, reward, terminated, truncated, exploded, final, error, disturbed)
+
+    def _disturb(self) -> Ints:
+        """Now and then push the root, or let the reference jump sideways; which environments."""
+        s, b = self.settings, self.settings.envs
+        pushed = np.flatnonzero(self.rng.random(b) < s.push_chance)
+        if len(pushed):
+            self.state[pushed, 1 + self._nq : 3 + self._nq] += self.rng.normal(size=(len(pushed), 2)) * s.push_mps
+            self._refresh(pushed)
+        jumped = np.flatnonzero(self.rng.random(b) < s.jump_chance)
+        if len(jumped):
+            self.jump_m[jumped] = self.rng.normal(size=(len(jumped), 2)) * s.jump_m
+        return np.union1d(pushed, jumped)

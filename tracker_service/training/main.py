@@ -1,0 +1,113 @@
+"""`python -m tracker_service.training.main`: train the tracker's policy on a corpus."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import torch
+import typer
+
+from shared.console import errors_for_people
+from shared.data.corpus import Corpus
+from tracker_service.simulation.character_spec import HUMAN
+from tracker_service.simulation.humanoid import humanoid
+from tracker_service.training.dataset import MotionInput, ReferenceSet, prepare_cached
+from tracker_service.training.env import EnvSettings
+from tracker_service.training.ppo import PpoSettings
+from tracker_service.training.trainer import Trainer
+
+LEAST_TICKS = 30
+
+
+def motions(corpus: Corpus, split: str, mirrored: bool = True) -> list[MotionInput]:
+    """Clips of a split long enough to follow."""
+    return [
+        MotionInput(clip.name, clip.behaviour, max(clip.weight, 1e-9), corpus.positions(i))
+        for i, clip in enumerate(corpus.clips)
+        if clip.split == split and clip.frames >= LEAST_TICKS and (mirrored or not clip.mirrored)
+    ]
+
+
+def references(corpus_dir: Path, split: str, cache: Path, say: Callable[[str], None]) -> ReferenceSet:
+    """Prepared references of a split; held-out clips are not judged twice by their mirror images."""
+
+    def progress(what: str, share: float) -> None:
+        say(f"{what}: {100 * share:.0f} %")
+
+    corpus = Corpus.load(corpus_dir)
+    return prepare_cached(humanoid(HUMAN), motions(corpus, split, mirrored=split == "train"), cache, progress)
+
+
+def train(
+    corpus: Path, out: Path, until_samples: int = 50_000_000, threads: int = 1, envs: int = 320, seed: int = 0,
+    init: Path | None = None, focus: dict[str, float] | None = None, say: Callable[[str], None] = print,
+) -> None:  # fmt: skip
+    """Train until `until_samples` or SIGTERM/SIGINT, resuming from `out`/checkpoint.pt when there is one.
+
+    Args:
+        corpus: folder made by `motionloop data build`.
+        threads: of physics and of torch together, at different times.
+        focus: factors on the sampling weight of behaviours, for those that matter most now.
+        init: checkpoint to start from where `out` has none (weights and normaliser only).
+    """
+    torch.set_num_threads(threads)
+    human = humanoid(HUMAN)
+    cache = out / "cache"
+    train_set = references(corpus, "train", cache, say)
+    heldout_set = references(corpus, "heldout", cache, say)
+    factors = np.array([(focus or {}).get(str(name), 1.0) for name in train_set.behaviours])
+    train_set = replace(train_set, weight=train_set.weight * factors)
+    say(f"{len(train_set)} clips, {len(train_set.qpos) / 1800:.1f} min to train on; {len(heldout_set)} held out")
+    stop = False
+
+    def ask_to_stop(signum: int, frame: object) -> None:
+        nonlocal stop
+        stop = True
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, ask_to_stop)
+    trainer = Trainer(human, train_set, heldout_set, out, EnvSettings(envs=envs, threads=threads), PpoSettings(), seed)
+    checkpoint = out / "checkpoint.pt"
+    if checkpoint.exists():
+        trainer.load(checkpoint)
+        say(f"resumed at {trainer.samples} samples")
+    elif init is not None:
+        trainer.load(init, weights_only=True)
+        say(f"started from {init}")
+    (out / "pid").write_text(f"{os.getpid()}\n", encoding="utf-8")
+    trainer.train(until_samples, lambda: stop, say)
+    say("stopped" if stop else "done")
+
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command()
+def main(
+    corpus: Annotated[Path, typer.Option(help="folder made by `motionloop data build`")],
+    out: Annotated[Path, typer.Option(help="folder for checkpoint and logs")],
+    until_samples: int = 50_000_000,
+    threads: int = 1,
+    envs: int = 320,
+    seed: int = 0,
+    init: Annotated[Path | None, typer.Option(help="checkpoint to start from")] = None,
+    focus: Annotated[str, typer.Option(help="sampling factors, e.g. walk=2,dance=0.5")] = "",
+) -> None:
+    """Train the tracker with PPO; stops cleanly on SIGTERM and resumes where it stopped."""
+
+    def say(line: str) -> None:
+        typer.echo(line)
+
+    factors = {name: float(value) for name, value in (part.split("=") for part in focus.split(",") if part)}
+    train(corpus, out, until_samples, threads, envs, seed, init, factors, say)
+
+
+if __name__ == "__main__":
+    with errors_for_people():
+        app()
