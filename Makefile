@@ -4,6 +4,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-stamp
+THREE := orchestrator/web/vendor/version.json
 SEED ?= 1
 OUT ?= out
 JOBS ?= 2
@@ -15,12 +16,12 @@ export MKL_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test check format bench eval-tasks eval-text eval-tracker eval-planner clean
+.PHONY: help setup demo serve test test-page check docs format bench eval-tasks eval-text eval-tracker eval-planner clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
 
-setup: $(STAMP) ## make .venv with everything (quick when nothing changed)
+setup: $(STAMP) $(THREE) ## make .venv with everything (quick when nothing changed)
 
 $(STAMP): pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "no Python found: install Python 3.11 or newer"; exit 1; }
@@ -33,6 +34,10 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(BIN)/python -c 'import torch; print("torch", torch.__version__, "(CUDA %s)" % torch.version.cuda if torch.version.cuda else "(CPU build)")'
 	@touch $@
 
+# three.js for the live page comes from npm; without npm everything else still works, and the page says what is missing.
+$(THREE): orchestrator/web/fetch_three.py $(STAMP)
+	@$(BIN)/python -m orchestrator.web.fetch_three || true
+
 demo: setup ## run the three services and one episode over HTTP; leaves out/demo/
 	$(BIN)/motionloop demo --seed $(SEED) --out $(OUT)/demo $(ARGS)
 
@@ -40,13 +45,21 @@ serve: setup ## run all three services until Ctrl-C
 	$(BIN)/motionloop serve all $(ARGS)
 
 test: setup ## run the fast test suite
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "not slow" $(ARGS)
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "not slow and not page" $(ARGS)
+
+test-page: setup ## drive the live page in headless Chromium against the three services
+	$(BIN)/python -m orchestrator.web.fetch_three
+	$(BIN)/python -m tests.page.browser
+	$(BIN)/python -m pytest tests/page -m page $(ARGS)
 
 check: setup ## ruff, mypy --strict, import-linter
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+docs: setup ## build the documentation site into out/site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 format: setup ## format the tree and fix what ruff can
 	$(BIN)/ruff check --fix .

@@ -1,31 +1,32 @@
-"""Walk a square by HTTP: `motionloop serve` in one terminal, `python examples/steer.py` in another."""
+"""Walk a square: `motionloop serve` in one terminal, `python examples/steer.py` in another."""
 
 from __future__ import annotations
 
 import sys
-import time
 
-from motionloop import MotionLoopClient
+import numpy as np
+
+from motionloop import Client, MotionLoopError, State
 
 CORNERS_M = ((2.0, 0.0), (2.0, 2.0), (0.0, 2.0), (0.0, 0.0))
 NEAR_M = 0.3
 
 
-def main(url: str) -> None:
-    """Go from corner to corner, each when the one before is reached (or after 20 s)."""
-    with MotionLoopClient(url) as client:
-        character = client.create_character(pacing="realtime").id
-        for x, y in CORNERS_M:
-            client.command(character, "a person is walking.", target_m=(x, y, 0.0))
-            give_up = time.monotonic() + 20.0
-            while time.monotonic() < give_up:
-                px, py, _ = client.character(character).state.pelvis_m
-                if (px - x) ** 2 + (py - y) ** 2 < NEAR_M**2:
-                    break
-                time.sleep(0.1)
-            sys.stdout.write(f"corner ({x}, {y}): the pelvis is at ({px:.2f}, {py:.2f})\n")
-        client.delete_character(character)
+def main(url: str | None, give_up_s: float = 20.0) -> None:
+    """Go from corner to corner, each when the one before is reached (or after `give_up_s`)."""
+    with Client(url) as client, client.character() as character:
+        for corner in CORNERS_M:
+            character.say("a person is walking.", target=corner)
+
+            def there(state: State, corner: tuple[float, float] = corner) -> bool:
+                return float(np.linalg.norm(state.pelvis_w_m[:2] - corner)) < NEAR_M
+
+            try:
+                character.wait_for(there, give_up_s)
+                sys.stdout.write(f"corner {corner}: reached\n")
+            except MotionLoopError as error:
+                sys.stdout.write(f"corner {corner}: {error}\n")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1] if len(sys.argv) > 1 else "http://127.0.0.1:8080")
+    main(sys.argv[1] if len(sys.argv) > 1 else None)

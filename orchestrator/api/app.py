@@ -10,8 +10,9 @@ from typing import Any
 
 from fastapi import Depends, FastAPI
 
-from orchestrator.api import characters, episodes, problems, services
+from orchestrator.api import catalogue, characters, episodes, motion, page, problems, replay, services, stream
 from orchestrator.api.deps import check_token
+from orchestrator.api.health import HealthWatch
 from orchestrator.api.settings import OrchestratorSettings
 from orchestrator.core.manager import Orchestrator
 from orchestrator.core.services import Services, Slot, connect
@@ -60,6 +61,7 @@ def create_app(settings: OrchestratorSettings) -> FastAPI:
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         core = await open_orchestrator(settings)
         app.state.orchestrator = core
+        app.state.health = HealthWatch(core)
         try:
             yield
         finally:
@@ -77,6 +79,11 @@ def create_app(settings: OrchestratorSettings) -> FastAPI:
     guarded: list[Any] = [Depends(check_token)]
     app.include_router(characters.router, dependencies=guarded)
     app.include_router(episodes.router, dependencies=guarded)
+    app.include_router(motion.router, dependencies=guarded)
+    app.include_router(replay.router, dependencies=guarded)
     app.include_router(services.router, dependencies=guarded)
+    app.include_router(catalogue.router, dependencies=guarded)
+    app.include_router(stream.router)
     app.include_router(services.health_router)
+    page.install(app)
     return app

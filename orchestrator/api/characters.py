@@ -1,13 +1,12 @@
-"""/v1/characters: make, command, push, watch."""
+"""/v1/characters: make, command, push, step."""
 
 from __future__ import annotations
 
-import asyncio
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body, Response, WebSocket, WebSocketDisconnect
+from fastapi import APIRouter, Body, Response
 
-from orchestrator.api.deps import CharacterId, Core, check_token
+from orchestrator.api.deps import CharacterId, Core
 from orchestrator.api.models import (
     CharacterBody,
     CharacterList,
@@ -17,10 +16,8 @@ from orchestrator.api.models import (
     StepBody,
 )
 from orchestrator.api.problems import RESPONSES
-from orchestrator.core.character import CharacterSession, CharacterSpec
+from orchestrator.core.character import CharacterSpec
 from orchestrator.core.command import Command
-from orchestrator.core.manager import Orchestrator
-from shared.errors import NotFoundError
 
 router = APIRouter(prefix="/v1/characters", tags=["characters"], responses=RESPONSES)
 
@@ -107,66 +104,5 @@ async def resume(core: Core, character_id: CharacterId) -> StateBody:
 
 @router.post("/{character_id}/steps")
 async def steps(core: Core, character_id: CharacterId, body: StepBody) -> StateBody:
-    """Let a lockstep character go on for some ticks, planning on the way."""
+    """Let a lockstep character, or a realtime one that is paused, go on for some ticks, planning on the way."""
     return StateBody.of(await core.character(str(character_id)).advance(body.ticks))
-
-
-@router.websocket("/{character_id}/stream")
-async def stream(socket: WebSocket, character_id: str) -> None:
-    """State and events as JSON: {"type": "state" | "event" | "plan", ...}; slow readers skip states, not events."""
-    check_token(socket)
-    core: Orchestrator = socket.app.state.orchestrator
-    try:
-        session = core.character(character_id)
-    except NotFoundError as error:
-        await socket.close(4404, error.message)
-        return
-    await socket.accept()
-    sending = asyncio.Lock()
-    tasks = [
-        asyncio.create_task(_send_states(socket, session, sending)),
-        asyncio.create_task(_send_events(socket, session, sending)),
-        asyncio.create_task(_wait_for_end(socket)),
-    ]
-    try:
-        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-
-
-async def _send_states(socket: WebSocket, session: CharacterSession, sending: asyncio.Lock) -> None:
-    ghost = -1
-    async for state in session.states.listen():
-        plan = session.loop.last_plan
-        if plan is not None and plan.start_tick != ghost:
-            ghost = plan.start_tick
-            message = {
-                "type": "plan",
-                "start_tick": ghost,
-                "fps": plan.fps,
-                "positions_m": _rounded(plan.positions_w_m),
-            }
-            async with sending:
-                await socket.send_json(message)
-        async with sending:
-            await socket.send_json({"type": "state", **StateBody.of(state).model_dump(mode="json")})
-
-
-async def _send_events(socket: WebSocket, session: CharacterSession, sending: asyncio.Lock) -> None:
-    async for event in session.events.listen():
-        async with sending:
-            await socket.send_json({"type": "event", "event": event.model_dump(mode="json")})
-
-
-async def _wait_for_end(socket: WebSocket) -> None:
-    try:
-        while True:
-            await socket.receive_text()
-    except WebSocketDisconnect:
-        return
-
-
-def _rounded(array: Any) -> list[Any]:
-    return [[[round(float(v), 3) for v in joint] for joint in frame] for frame in array]

@@ -14,8 +14,6 @@ from orchestrator.api.models import EpisodeBody, EpisodeCreated, EpisodeList
 from orchestrator.api.problems import RESPONSES
 from orchestrator.core.episode import EpisodeSpec
 from orchestrator.core.manager import Orchestrator
-from orchestrator.export.formats import to_bvh, to_csv
-from shared.errors import ConflictError
 
 router = APIRouter(prefix="/v1/episodes", tags=["episodes"], responses=RESPONSES)
 
@@ -101,27 +99,8 @@ async def _sse(core: Orchestrator, episode_id: str, since: int) -> AsyncIterator
         yield f"id: {event.seq}\nevent: {event.type}\ndata: {event.model_dump_json()}\n\n"
 
 
-@router.get("/{episode_id}/motion.{suffix}", response_class=Response)
-async def motion(core: Core, episode_id: EpisodeId, suffix: Literal["npz", "bvh", "csv"]) -> Response:
-    """The recorded motion at 30 Hz."""
-    key = str(episode_id)
-    row = await asyncio.to_thread(core.store.episode, key)
-    if row["status"] == "running":
-        raise ConflictError("the episode is still running", field="id")
-    recording = await asyncio.to_thread(core.files.load, key)
-    if suffix == "npz":
-        return _file(await asyncio.to_thread(core.files.path(key).read_bytes), "application/octet-stream", key, suffix)
-    if suffix == "bvh":
-        return _file(await asyncio.to_thread(to_bvh, recording), "text/plain", key, suffix)
-    return _file(await asyncio.to_thread(to_csv, recording), "text/csv", key, suffix)
-
-
 @router.get("/{episode_id}/video.mp4", response_class=Response)
 async def video(core: Core, episode_id: EpisodeId) -> Response:
     """The episode as MP4; rendered on the first request, which takes a while."""
-    return _file(await core.video(str(episode_id)), "video/mp4", str(episode_id), "mp4")
-
-
-def _file(data: bytes, media_type: str, name: str, suffix: str) -> Response:
-    headers = {"Content-Disposition": f'attachment; filename="{name}.{suffix}"'}
-    return Response(data, media_type=media_type, headers=headers)
+    headers = {"Content-Disposition": f'attachment; filename="{episode_id}.mp4"'}
+    return Response(await core.video(str(episode_id)), media_type="video/mp4", headers=headers)

@@ -2,39 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from orchestrator.core.character import CharacterSession
 from orchestrator.core.command import Command
-from orchestrator.core.episode import EpisodeOutcome, EpisodeSpec, TaskResult
+from orchestrator.core.episode import EpisodeOutcome, EpisodeSpec
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import Name, StateFrame
+from shared.protocol.rest import CharacterFields, EpisodeFields, StateFields
 from shared.tasks.interface import heading_from_positions
 
 MAX_IMPULSE_NS = 500.0
 Newtonseconds = Annotated[FiniteFloat, Field(ge=-MAX_IMPULSE_NS, le=MAX_IMPULSE_NS)]
 
 
-class StateBody(BaseModel):
+class StateBody(StateFields):
     """State of a character, world frame, metres; joints in the order of `joints`."""
 
-    tick: int
-    time_s: float
     joints: tuple[str, ...] = CANONICAL.names
-    positions_m: list[list[float]]
-    rotations_wxyz: list[list[float]]
-    pelvis_m: list[float]
-    heading_rad: float
-    contacts: list[bool]
-    tracking_error_m: float
-    fallen: bool
-    plan_end_tick: int
-    missed_ticks: int
-    tracker: str
-    failure: str | None
 
     @classmethod
     def of(cls, state: StateFrame) -> StateBody:
@@ -57,19 +45,10 @@ class StateBody(BaseModel):
         )
 
 
-class CharacterBody(BaseModel):
+class CharacterBody(CharacterFields):
     """A character: what it is, what it was told, and how it is."""
 
-    id: str
-    status: str
-    reason: str | None
-    scene: str
-    pacing: str
-    planner: str | None
-    tracker: str | None
-    seed: int
     command: Command
-    plans: int
     state: StateBody
 
     @classmethod
@@ -118,21 +97,11 @@ class EpisodeCreated(BaseModel):
     status: Literal["running"] = "running"
 
 
-class EpisodeBody(BaseModel):
+class EpisodeBody(EpisodeFields):
     """An episode: what was asked, how far it is, how it went."""
 
-    id: str
-    status: str
-    reason: str | None = None
-    success: bool | None = None
-    phase: str | None = None
-    tick: int | None = None
-    results: list[TaskResult] = []
     spec: EpisodeSpec
     outcome: EpisodeOutcome | None = None
-    services: dict[str, Any] = {}
-    created_s: float
-    ended_s: float | None = None
 
 
 class EpisodeList(BaseModel):
@@ -150,23 +119,6 @@ class SwapBody(BaseModel):
     model_config = ConfigDict(extra="forbid")
     endpoint: Annotated[str, Field(max_length=300, pattern=r"^(tcp|ipc)://.+")] | None = None
     plugin: Name | None = None
-
-
-class ServiceBody(BaseModel):
-    """A service in use."""
-
-    endpoint: str
-    version: str
-    plugin: str
-    spec: dict[str, Any]
-    plugins: list[str]
-
-
-class ServicesBody(BaseModel):
-    """Both services."""
-
-    planner: ServiceBody
-    tracker: ServiceBody
 
 
 class HealthBody(BaseModel):

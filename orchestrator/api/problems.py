@@ -7,10 +7,10 @@ from typing import Any
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
-from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 
 from shared.errors import MotionLoopError
+from shared.protocol.rest import InvalidField, Problem
 
 STATUS = {
     "invalid_input": 422,
@@ -39,29 +39,6 @@ _ALLOWED = {
     "multiple_of": "a multiple of {}",
     "expected_tags": "{}",
 }
-
-
-class InvalidField(BaseModel):
-    """One value that was refused."""
-
-    field: str
-    message: str
-    allowed: str | None = None
-
-
-class Problem(BaseModel):
-    """Body of every error (RFC 9457), with the extensions `code`, `retryable`, `field`, `allowed` and `errors`."""
-
-    type: str = "about:blank"
-    title: str
-    status: int
-    detail: str
-    instance: str | None = None
-    code: str
-    retryable: bool = False
-    field: str | None = None
-    allowed: str | None = None
-    errors: list[InvalidField] = []
 
 
 def problem_response(problem: Problem) -> JSONResponse:

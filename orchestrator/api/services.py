@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Body, Response
+from fastapi import APIRouter, Body, Request, Response
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 
 from orchestrator.api.deps import Core
+from orchestrator.api.health import HealthWatch, ServicesHealth
 from orchestrator.api.metrics import registry_of
-from orchestrator.api.models import HealthBody, ServiceBody, ServicesBody, SwapBody
-from orchestrator.api.problems import RESPONSES, Problem, problem_response
+from orchestrator.api.models import HealthBody, SwapBody
+from orchestrator.api.problems import RESPONSES, problem_response
 from shared.errors import MotionLoopError
 from shared.protocol.messages import Health, HealthReport
+from shared.protocol.rest import Problem, ServiceInfo, ServicesInfo
 
 router = APIRouter(prefix="/v1/services", tags=["services"], responses=RESPONSES)
 health_router = APIRouter(tags=["health"])
@@ -25,17 +27,24 @@ _SWAPS: dict[str, Any] = {
 
 
 @router.get("")
-async def get(core: Core) -> ServicesBody:
+async def get(core: Core) -> ServicesInfo:
     """What planner and tracker are in use, and what else they offer."""
-    return ServicesBody.model_validate(core.service_report())
+    return ServicesInfo.model_validate(core.service_report())
+
+
+@router.get("/health")
+async def health(core: Core, request: Request) -> ServicesHealth:
+    """How planner and tracker are. Always 200: a service that is away is an answer and not an error."""
+    watch: HealthWatch = request.app.state.health
+    return await watch.look()
 
 
 @router.put("/{kind}")
 async def put(
     core: Core, kind: Literal["planner", "tracker"], body: Annotated[SwapBody, Body(openapi_examples=_SWAPS)]
-) -> ServiceBody:
+) -> ServiceInfo:
     """Exchange a service or plug-in while it runs; an unfit one is refused and the old one stays."""
-    return ServiceBody.model_validate(await core.swap(kind, body.endpoint, body.plugin))
+    return ServiceInfo.model_validate(await core.swap(kind, body.endpoint, body.plugin))
 
 
 @health_router.get("/healthz")

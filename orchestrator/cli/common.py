@@ -17,7 +17,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from orchestrator.client import MotionLoopClient
+from orchestrator.client import Client
 from shared.errors import MotionLoopError
 
 console = Console(stderr=True)
@@ -25,7 +25,12 @@ console = Console(stderr=True)
 Url = Annotated[str, typer.Option(envvar="MOTIONLOOP_URL", help="server to talk to")]
 Token = Annotated[str | None, typer.Option(envvar="MOTIONLOOP_TOKEN", help="bearer token of the server")]
 JsonFile = Annotated[Path | None, typer.Option("--json", help="write the result to this file")]
-DEFAULT_URL = "http://127.0.0.1:8080"
+HINTS = {
+    "unauthorized": "give the server's token with --token or in MOTIONLOOP_TOKEN",
+    "overloaded": "try again later, or end a character or an episode first",
+    "incompatible_peer": "the old service stays in use; `motionloop conformance ENDPOINT` shows what does not fit",
+}
+"""What to do next, by error code; the messages of the others say it themselves."""
 
 
 @contextmanager
@@ -36,15 +41,16 @@ def for_people() -> Iterator[None]:
     except MotionLoopError as error:
         where = f" in {error.field}" if error.field else ""
         allowed = f"\n  allowed: {error.allowed}" if error.allowed else ""
-        line = escape(f"{error.code}{where}: {error.message}{allowed}")
+        hint = f"\n  {HINTS[error.code]}" if error.code in HINTS else ""
+        line = escape(f"{error.code}{where}: {error.message}{allowed}{hint}")
         console.print(f"[red]{line}[/red]", highlight=False, soft_wrap=True)
         raise typer.Exit(1) from error
 
 
 @contextmanager
-def client(url: str, token: str | None) -> Iterator[MotionLoopClient]:
+def client(url: str, token: str | None) -> Iterator[Client]:
     """A client, with errors printed for people."""
-    with for_people(), MotionLoopClient(url, token) as opened:
+    with for_people(), Client(url, token) as opened:
         yield opened
 
 

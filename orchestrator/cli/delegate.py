@@ -36,7 +36,18 @@ def module_json(module: str, arguments: Sequence[str]) -> dict[str, Any]:
     return dict(json.loads(done.stdout))
 
 
+def need(*modules: str) -> None:
+    """Exit with code 2 and say what to install, where one of the modules is missing."""
+    for module in modules:
+        if importlib.util.find_spec(module) is None:
+            say_what_is_missing(module)
+
+
+def say_what_is_missing(module: str) -> None:
+    """Say what to install, and exit with code 2."""
+    console.print(f"[red]{module} is not installed[/red]; try: pip install 'motionloop\\[all]'")
+    raise typer.Exit(2)
+
+
 def _check_installed(module: str) -> None:
-    if importlib.util.find_spec(module.partition(".")[0]) is None or importlib.util.find_spec(module) is None:
-        console.print(f"[red]{module} is not installed[/red]; try: pip install 'motionloop\\[all]'")
-        raise typer.Exit(2)
+    need(module.partition(".")[0], module)

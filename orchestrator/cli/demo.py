@@ -11,59 +11,60 @@ from typing import Any
 from rich.console import Console
 
 from orchestrator.cli.common import ending_on_sigterm, provenance
-from orchestrator.cli.show import follow, table
-from orchestrator.client import EpisodeInfo, MotionLoopClient
+from orchestrator.cli.show import Follower, table
+from orchestrator.client import Client, Episode, EpisodeInfo, ServicesInfo
+from orchestrator.client.calls import Format
 from orchestrator.core.supervise import Stack, StackOptions
 from shared.errors import MotionLoopError
+from shared.protocol.messages import Pacing
 
 TASKS: list[dict[str, Any]] = [
     {"type": "reach", "name": "walk to a point", "relative_m": [2.0, 0.6]},
-    {"type": "text", "name": "wave", "text": "a person waves with the right hand.", "duration_s": 5.0},
+    {"type": "text", "name": "wave", "text": "a person waves with the right hand.", "guidance": 8.0, "duration_s": 5.0},
     {"type": "reach", "name": "walk to a point behind", "relative_m": [-2.0, -0.3]},
     {"type": "halt", "name": "stand still"},
 ]
+KEPT: tuple[Format, ...] = ("npz", "bvh", "glb")
 
 
 def run_demo(
-    out: Path, seed: int, planner: str | None, tracker: str | None, pacing: str, console: Console, film: bool = True
+    out: Path, seed: int, planner: str | None, tracker: str | None, pacing: Pacing, console: Console, film: bool = True
 ) -> bool:
     """Start the three services and run the demo; True when every task succeeded strictly. Leaves no process behind."""
     with ending_on_sigterm(), tempfile.TemporaryDirectory(prefix="motionloop-demo-") as data_dir:
         options = StackOptions(planner_plugin=planner, tracker_plugin=tracker, data_dir=data_dir)
-        with Stack(options, console.print) as stack, MotionLoopClient(stack.url) as client:
+        with Stack(options, console.print) as stack, Client(stack.url) as client:
             return play_demo(client, out, seed, pacing, console, film)
 
 
-def play_demo(client: MotionLoopClient, out: Path, seed: int, pacing: str, console: Console, film: bool = True) -> bool:
+def play_demo(client: Client, out: Path, seed: int, pacing: Pacing, console: Console, film: bool = True) -> bool:
     """Run the demo on services that are there already; True when every task succeeded strictly."""
     out.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
     services = client.services()
-    used = ", ".join(f"{kind} {services[kind]['plugin']}" for kind in ("planner", "tracker"))
-    console.print(f"running with {used}; seed {seed}")
-    episode_id = client.start_episode({"tasks": TASKS, "seed": seed, "pacing": pacing, "name": "demo"})
-    follow(client.events(episode_id), console)
-    episode = client.episode(episode_id)
+    console.print(f"running with planner {services.planner.plugin}, tracker {services.tracker.plugin}; seed {seed}")
+    run = client.episode(TASKS, seed=seed, pacing=pacing, name="demo")
+    with Follower(console) as follower:
+        episode = run.wait(on_event=follower.take)
     console.print(table(episode))
-    _keep(out / "episode.npz", client.motion(episode_id, "npz"), console)
-    _keep(out / "episode.bvh", client.motion(episode_id, "bvh"), console)
+    for kind in KEPT:
+        _keep(out / f"episode.{kind}", run.export(kind), console)
     result = _result(episode, services, seed, time.monotonic() - began)
     _keep(out / "result.json", (json.dumps(result, indent=2) + "\n").encode(), console)
     if film:  # last, since it takes longest: whoever does not wait for it has the rest
-        _film(client, episode_id, out, console)
+        _film(run, out, console)
     return bool(episode.success)
 
 
-def _film(client: MotionLoopClient, episode_id: str, out: Path, console: Console) -> None:
+def _film(run: Episode, out: Path, console: Console) -> None:
     try:
         with console.status("rendering the video ..."):
-            video = client.video(episode_id)
+            video = run.export("mp4")
     except MotionLoopError as error:
         console.print(f"[yellow]no video: {error.message}[/yellow]")
         return
     _keep(out / "video.mp4", video, console)
-    notes = [e.data for e in client.events(episode_id) if e.type == "video"]
-    for note in notes:
+    for note in (event.data for event in run.events() if event.type == "video"):
         if note.get("note"):
             console.print(f"video renderer {note['renderer']}: {note['note']}")
 
@@ -73,7 +74,7 @@ def _keep(path: Path, data: bytes, console: Console) -> None:
     console.print(f"written: {path} ({len(data) / 1024:.0f} KiB)", highlight=False)
 
 
-def _result(episode: EpisodeInfo, services: dict[str, Any], seed: int, wall_s: float) -> dict[str, Any]:
+def _result(episode: EpisodeInfo, services: ServicesInfo, seed: int, wall_s: float) -> dict[str, Any]:
     return {
         "success": bool(episode.success),
         "status": episode.status,
@@ -89,7 +90,7 @@ def _result(episode: EpisodeInfo, services: dict[str, Any], seed: int, wall_s: f
             }
             for task in episode.results
         ],
-        "services": {kind: services[kind]["spec"] for kind in ("planner", "tracker")},
+        "services": {"planner": services.planner.spec, "tracker": services.tracker.spec},
         "simulated_s": round((episode.tick or 0) / 30, 2),
         "wall_s": round(wall_s, 1),
         **provenance(seed),

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
+import sys
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 from rich.table import Table
 
-from orchestrator.cli.common import DEFAULT_URL, JsonFile, Token, Url, client, console, for_people, write_json
-from orchestrator.cli.delegate import PASS_THROUGH, run_module
-from orchestrator.cli.show import follow, table
-from shared.errors import InvalidInputError
+from orchestrator.cli.common import Token, client, console, for_people, write_json
+from orchestrator.cli.delegate import PASS_THROUGH, need, run_module, say_what_is_missing
+from orchestrator.cli.talk import episode, export, say, swap, watch
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, help="Text- and target-driven physical characters.")
 data = typer.Typer(no_args_is_help=True, help="Motion corpora.")
@@ -21,6 +20,14 @@ app.add_typer(data, name="data")
 app.add_typer(train, name="train")
 
 ServiceName = Literal["planner", "tracker", "orchestrator", "all"]
+NEEDED = {
+    "planner": ("zmq",),
+    "tracker": ("mujoco",),
+    "orchestrator": ("uvicorn",),
+    "all": ("uvicorn", "mujoco", "scipy"),
+}
+LIGHT = ("say", "episode", "swap", "export", "watch", "conformance", "serve", "demo", "train")
+"""Commands that need nothing of `eval`, `bench` and `data bank`."""
 
 
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
@@ -34,6 +41,7 @@ def serve(
     data_dir: Annotated[Path, typer.Option(help="all: database and recordings")] = Path("out/data"),
 ) -> None:
     """Run the services. Options of a single service go through to it (see `python -m planner_service --help`)."""
+    need(*NEEDED[what])
     from orchestrator.cli.serve import serve_all, serve_one
     from orchestrator.core.supervise import StackOptions
 
@@ -64,6 +72,7 @@ def demo(
     from orchestrator.cli.demo import play_demo, run_demo
 
     if url is None:
+        need(*NEEDED["all"])
         with for_people():
             raise typer.Exit(0 if run_demo(out, seed, planner, tracker, pacing, console, video) else 1)
     if planner or tracker:
@@ -72,74 +81,8 @@ def demo(
         raise typer.Exit(0 if play_demo(http, out, seed, pacing, console, video) else 1)
 
 
-@app.command()
-def say(
-    text: Annotated[str, typer.Argument(help="what to do, in words")],
-    target: Annotated[str | None, typer.Option(help="x,y,z in metres")] = None,
-    joint: Annotated[str, typer.Option(help="which joint goes there; traj is the root on the floor")] = "traj",
-    character: Annotated[str | None, typer.Option(help="id; by default the newest, or a new one")] = None,
-    url: Url = DEFAULT_URL,
-    token: Token = None,
-) -> None:
-    """Tell a character what to do."""
-    with client(url, token) as http:
-        if character is None:
-            running = [c for c in http.characters() if c.status in ("running", "degraded")]
-            character = running[-1].id if running else http.create_character(pacing="realtime").id
-        tick = http.command(character, text, _point(target), joint)
-        console.print(f"character {character}: taken at tick {tick}", highlight=False)
-
-
-@app.command()
-def episode(
-    file: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="JSON or YAML, as POST /v1/episodes")],
-    seed: Annotated[int | None, typer.Option(help="instead of the file's")] = None,
-    out: Annotated[Path | None, typer.Option(help="folder for the recording and the video")] = None,
-    url: Url = DEFAULT_URL,
-    token: Token = None,
-    json: JsonFile = None,
-) -> None:
-    """Run an episode and show how it goes; exit code 0 only if every task succeeded."""
-    with client(url, token) as http:
-        spec = _read(file)
-        if seed is not None:
-            spec["seed"] = seed
-        episode_id = http.start_episode(spec)
-        follow(http.events(episode_id), console)
-        result = http.episode(episode_id)
-        console.print(table(result))
-        if out is not None:
-            _fetch(http, episode_id, out, ("npz", "bvh", "csv", "mp4"))
-        if json is not None:
-            write_json(json, result.model_dump(mode="json"))
-        raise typer.Exit(0 if result.success else 1)
-
-
-@app.command()
-def swap(
-    kind: Annotated[Literal["planner", "tracker"], typer.Argument()],
-    plugin: Annotated[str | None, typer.Option(help="plug-in name")] = None,
-    endpoint: Annotated[str | None, typer.Option(help="another service, tcp://HOST:PORT")] = None,
-    url: Url = DEFAULT_URL,
-    token: Token = None,
-) -> None:
-    """Exchange the planner or the tracker of a running server."""
-    with client(url, token) as http:
-        used = http.swap(kind, endpoint, plugin)
-        console.print(f"{kind}: {used['plugin']} at {used['endpoint']}", highlight=False)
-
-
-@app.command()
-def export(
-    episode_id: Annotated[str, typer.Argument(help="id of an episode that is over")],
-    out: Annotated[Path, typer.Option(help="folder")] = Path("out/export"),
-    formats: Annotated[str, typer.Option(help="npz, bvh, csv, mp4, with commas")] = "npz,bvh",
-    url: Url = DEFAULT_URL,
-    token: Token = None,
-) -> None:
-    """Fetch an episode's motion."""
-    with client(url, token) as http:
-        _fetch(http, episode_id, out, [name.strip() for name in formats.split(",")])
+for _command in (say, episode, swap, export, watch):
+    app.command()(_command)
 
 
 @app.command()
@@ -211,53 +154,29 @@ def train_tracker(context: typer.Context) -> None:
     run_module("tracker_service.training.main", context.args)
 
 
-def _point(text: str | None) -> tuple[float, float, float] | None:
-    if text is None:
-        return None
-    try:
-        x, y, z = (float(part) for part in text.split(","))
-    except ValueError:
-        raise InvalidInputError(f"target {text!r}", field="target", allowed="x,y,z in metres") from None
-    return x, y, z
-
-
-def _read(file: Path) -> dict[str, Any]:
-    text = file.read_text()
-    if file.suffix in (".yaml", ".yml"):
-        import yaml
-
-        spec = yaml.safe_load(text)
-    else:
-        try:
-            spec = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise InvalidInputError(f"{file} is no JSON: {error}", field="file", allowed="JSON or YAML") from error
-    if not isinstance(spec, dict):
-        raise InvalidInputError(f"{file} holds no episode", field="file", allowed="an object with `tasks`")
-    return spec
-
-
-def _fetch(http: Any, episode_id: str, out: Path, formats: list[str] | tuple[str, ...]) -> None:
-    out.mkdir(parents=True, exist_ok=True)
-    for suffix in formats:
-        path = out / f"{episode_id}.{suffix}"
-        path.write_bytes(http.video(episode_id) if suffix == "mp4" else http.motion(episode_id, suffix))
-        console.print(f"written: {path}", highlight=False)
-
-
 def _add_measurements() -> None:
-    """eval and bench need the server's packages; the light client goes without them."""
+    """Commands that need the server's packages; without them each says how to get them."""
     try:
+        from orchestrator.cli.bank import data_bank
         from orchestrator.cli.measure import bench, evaluate
-    except ModuleNotFoundError:
+    except ModuleNotFoundError as error:
+        missing = str(error.name)
+
+        def refuse(context: typer.Context) -> None:
+            say_what_is_missing(missing)
+
+        for name in ("eval", "bench"):
+            app.command(name, help="Needs pip install 'motionloop[all]'.", context_settings=PASS_THROUGH)(refuse)
         return
     app.add_typer(evaluate, name="eval")
     app.add_typer(bench, name="bench")
+    data.command("bank")(data_bank)
 
 
 def main() -> None:
     """Entry point."""
-    _add_measurements()
+    if sys.argv[1:2] == [] or sys.argv[1] not in LIGHT:  # the others start quicker without what only these need
+        _add_measurements()
     app()
 
 

@@ -56,7 +56,7 @@ def with_services(job: Job, planner: str | None, tracker: str | None, threads: i
         stack.stop()
 
 
-class _Bar:
+class Bar:
     """A progress bar whose description says how it is going."""
 
     def __init__(self, what: str):
@@ -66,7 +66,7 @@ class _Bar:
         self._progress = Progress(*columns, console=console)
         self._task = self._progress.add_task(what, total=None)
 
-    def __enter__(self) -> _Bar:
+    def __enter__(self) -> Bar:
         self._progress.start()
         return self
 
@@ -94,7 +94,7 @@ def eval_tasks(
 ) -> None:
     """Success rates of tasks (strict, paper, code) with a Wilson interval."""
     names = [name.strip() for name in tasks.split(",") if name.strip()]
-    with _Bar("episodes") as bar:
+    with Bar("episodes") as bar:
         result = with_services(
             lambda services, stack: evaluate_tasks(
                 services, names, episodes, seed, variant, parallel, planner, tracker, resume, bar.update
@@ -116,7 +116,7 @@ def eval_text(
     json: JsonFile = None,
 ) -> None:
     """How many text commands are obeyed, and how often it falls."""
-    with _Bar("commands") as bar:
+    with Bar("commands") as bar:
         result = with_services(
             lambda services, stack: evaluate_text(
                 services, minutes, seed, every_s, parallel, planner, tracker, progress=bar.update

@@ -2,33 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 from rich.console import Console
 from rich.table import Table
 
-from orchestrator.client import EpisodeInfo, EventInfo
+from orchestrator.client import EpisodeInfo, Event
 
 
-def follow(events: Iterable[EventInfo], console: Console) -> None:
-    """Print what happens until the events end: one live line of progress, and lines that stay for what matters."""
-    with console.status("starting ...") as status:
-        task = ""
-        for event in events:
-            data = event.data
-            seconds = event.tick / 30
-            if event.type == "task_begin":
-                task = str(data["label"])
-                console.print(f"[dim]{seconds:6.1f} s[/dim]  {task}")
-            elif event.type == "task_end":
-                mark = "[green]ok[/green]" if data["success_strict"] else f"[red]{data['reason']}[/red]"
-                console.print(f"[dim]{seconds:6.1f} s[/dim]    {mark} after {data['seconds']:.1f} s")
-            elif event.type == "progress":
-                place = f"at ({data['x_m']:+.2f}, {data['y_m']:+.2f}) m"
-                error = f"tracking error {1000 * data['tracking_error_m']:.0f} mm"
-                status.update(f"{seconds:6.1f} s  {task}: {place}, {error}")
-            elif event.type in _SAID:
-                console.print(f"[dim]{seconds:6.1f} s[/dim]    {_SAID[event.type](data)}", highlight=False)
+class Follower:
+    """Says what happens in an episode: one live line of progress, and lines that stay for what matters."""
+
+    def __init__(self, console: Console):
+        self._console = console
+        self._status = console.status("starting ...")
+        self._task = ""
+
+    def __enter__(self) -> Follower:
+        self._status.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._status.stop()
+
+    def take(self, event: Event) -> None:
+        """Show one event."""
+        data = event.data
+        seconds = event.tick / 30
+        if event.type == "task_begin":
+            self._task = str(data["label"])
+            self._console.print(f"[dim]{seconds:6.1f} s[/dim]  {self._task}")
+        elif event.type == "task_end":
+            mark = "[green]ok[/green]" if data["success_strict"] else f"[red]{data['reason']}[/red]"
+            self._console.print(f"[dim]{seconds:6.1f} s[/dim]    {mark} after {data['seconds']:.1f} s")
+        elif event.type == "progress":
+            place = f"at ({data['x_m']:+.2f}, {data['y_m']:+.2f}) m"
+            error = f"tracking error {1000 * data['tracking_error_m']:.0f} mm"
+            self._status.update(f"{seconds:6.1f} s  {self._task}: {place}, {error}")
+        elif event.type in _SAID:
+            self._console.print(f"[dim]{seconds:6.1f} s[/dim]    {_SAID[event.type](data)}", highlight=False)
 
 
 def _reason(words: str) -> Callable[[dict[str, object]], str]:

@@ -1,16 +1,29 @@
-"""Typed, light HTTP client: needs httpx and pydantic only."""
+"""Typed clients of the HTTP API, blocking and asyncio: need numpy, pydantic, httpx and websockets only."""
 
 from __future__ import annotations
 
-from orchestrator.client.client import MotionLoopClient, ServerProblem
-from orchestrator.client.models import CharacterInfo, EpisodeInfo, EventInfo, StateInfo, TaskInfo
+from orchestrator.client.aio import AsyncCharacter, AsyncClient, AsyncEpisode
+from orchestrator.client.errors import ServerProblem
+from orchestrator.client.models import CharacterInfo, EpisodeInfo, PlanGhost, State
+from orchestrator.client.motion import Motion
+from orchestrator.client.sync import Character, Client, Episode
+from shared.protocol.rest import Event, ServiceInfo, ServicesInfo, TaskResult
 
 __all__ = [
+    "AsyncCharacter",
+    "AsyncClient",
+    "AsyncEpisode",
+    "Character",
     "CharacterInfo",
+    "Client",
+    "Episode",
     "EpisodeInfo",
-    "EventInfo",
-    "MotionLoopClient",
+    "Event",
+    "Motion",
+    "PlanGhost",
     "ServerProblem",
-    "StateInfo",
-    "TaskInfo",
+    "ServiceInfo",
+    "ServicesInfo",
+    "State",
+    "TaskResult",
 ]

@@ -105,15 +105,33 @@ class CharacterSession:
         return self.state.tick
 
     async def advance(self, ticks: int) -> StateFrame:
-        """Let a lockstep character go on for `ticks`."""
+        """Let a lockstep character, or a realtime one that is paused, go on for `ticks`."""
         self._check_alive()
-        driver = self._driver
-        if self.spec.pacing != "lockstep" or driver is None:
-            raise ConflictError("only a lockstep character is stepped", field="pacing", allowed="lockstep")
+        if self.spec.pacing == "realtime":
+            return await self._advance_paused(ticks)
         async with self._lock:
-            until = self.state.tick + ticks
-            while self.state.tick < until:
-                await self._cycle(driver, until - self.state.tick)
+            if self._driver is not None:
+                await self._until(self._driver, self.state.tick + ticks)
+        return self.state
+
+    async def _until(self, driver: Driver, tick: int) -> None:
+        while self.state.tick < tick:
+            await self._cycle(driver, tick - self.state.tick)
+
+    async def _advance_paused(self, ticks: int) -> StateFrame:
+        """Lockstep for a moment: the same loop, so that its plans follow those made by the clock."""
+        async with self._lock:
+            if self.status != "paused":
+                raise ConflictError(
+                    "a realtime character is stepped while it is paused", field="pacing", allowed="lockstep, or paused"
+                )
+            start = await self.loop.ask_tracker(StateFrame, SetPacing(pacing="lockstep"))
+            try:
+                await self._until(LockstepDriver(self.loop, start), start.tick + ticks)
+            finally:
+                held = SetPacing(pacing="realtime", paused=True)
+                self._state = await self.loop.ask_tracker(StateFrame, held)
+            self.events.emit("stepped", self.state.tick, ticks=ticks)
         return self.state
 
     async def impulse(self, body: str, impulse_w_ns: Vec3) -> None:

@@ -9,12 +9,14 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from orchestrator.core.loop import CharacterLoop, GoalSource, PlanTiming, view_of
+from orchestrator.core.settings import LoopSettings
 from orchestrator.core.stitch import start_tick_for
-from shared.errors import MotionLoopError, TransportError
+from shared.errors import MotionLoopError, SimulationError, TransportError
 from shared.protocol.messages import TICK_HZ, Plan, StateFrame
-from shared.tasks.interface import Trace
+from shared.tasks.interface import PlanGoal, Trace
 
 PLANNER_RETRY_S = 0.5
+BAD_PLANS_IN_A_ROW = 4
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,29 @@ class Driver(Protocol):
         ...
 
 
+class _BadPlans:
+    """Plans that no body could follow, in a row. A planner may make one from a body that is toppling; the old plan goes
+    on then and the next has another prefix and seed. Too many are an error."""
+
+    def __init__(self) -> None:
+        self._count = 0
+
+    def count(self, error: SimulationError) -> None:
+        """One more; raises it when it is one too many."""
+        self._count += 1
+        if self._count > BAD_PLANS_IN_A_ROW:
+            raise error
+
+    def clear(self) -> None:
+        """A good one came."""
+        self._count = 0
+
+
+def _period(settings: LoopSettings, goal: PlanGoal) -> int:
+    """Ticks until the plan after one for this goal."""
+    return settings.replan_ticks if goal.targets else settings.text_replan_ticks
+
+
 def _unavailable(error: MotionLoopError) -> bool:
     """Whether the planner is away or overloaded, as against having refused this one request."""
     return isinstance(error, TransportError) or error.retryable
@@ -65,7 +90,7 @@ class LockstepDriver:
         self._state = start
         self._seen = start.tick
         self._next_plan_tick = start.tick
-        self._pending: Plan | None = None
+        self._bad = _BadPlans()
 
     def replan_now(self) -> None:
         """Plan at the next tick divisible by 3."""
@@ -75,7 +100,7 @@ class LockstepDriver:
         """Nothing runs between cycles."""
 
     async def cycle(self, source: GoalSource, max_ticks: int | None = None) -> Cycle:
-        """One plan (when due) and the ticks until the next, at most `max_ticks`."""
+        """One plan (when due) and the ticks until the next, at most `replan_ticks` and `max_ticks`."""
         settings = self._loop.settings
         tick = self._state.tick
         plans: list[PlanTiming] = []
@@ -84,14 +109,20 @@ class LockstepDriver:
             lead = settings.plan_lead_ticks if self._loop.last_plan is not None else 0
             start_tick = start_tick_for(tick, lead)
             began = time.perf_counter()
+            period = settings.replan_ticks
             try:
                 goal = source(view_of(self._state), start_tick)
+                period = _period(settings, goal)
                 plan = await self._loop.make_plan(goal, tick, start_tick)
+            except SimulationError as error:
+                self._bad.count(error)
+                period = min(period, settings.replan_ticks)
             except MotionLoopError as error:
                 if not _unavailable(error):
                     raise
                 trouble = error.message
             else:
+                self._bad.clear()
                 reply = await self._loop.track(plan)
                 total_ms = (time.perf_counter() - began) * 1e3
                 plans.append(
@@ -100,8 +131,8 @@ class LockstepDriver:
                         goal.text, reply.reason,
                     )
                 )  # fmt: skip
-            self._next_plan_tick = tick + settings.replan_ticks
-        ticks = max(self._next_plan_tick - tick, 3 - tick % 3)
+            self._next_plan_tick = tick + period
+        ticks = max(min(self._next_plan_tick - tick, settings.replan_ticks), 3 - tick % 3)
         ticks = ticks if max_ticks is None else max(1, min(ticks, max_ticks))
         if trouble is not None:
             await asyncio.sleep(ticks / TICK_HZ)
@@ -133,9 +164,11 @@ class RealtimeDriver:
         self._seen = start.tick
         self._next_plan_tick = start.tick
         self._poll_s = poll_s
+        self._look_at_s = time.monotonic()
         self._request: _Request | None = None
         self._retry_at_s = 0.0
         self._trouble: str | None = None
+        self._bad = _BadPlans()
 
     def replan_now(self) -> None:
         """Request at the next look; a plan under way for the old command is thrown away."""
@@ -154,7 +187,9 @@ class RealtimeDriver:
 
     async def cycle(self, source: GoalSource, max_ticks: int | None = None) -> Cycle:
         """Wait one poll, look, collect a plan that has come, and request one that is due."""
-        await asyncio.sleep(self._poll_s)
+        # Looks are due at a fixed rate: what a look takes must not slow what viewers are shown.
+        self._look_at_s = max(self._look_at_s + self._poll_s, time.monotonic())
+        await asyncio.sleep(self._look_at_s - time.monotonic())
         self._state = await self._loop.observe()
         plans: list[PlanTiming] = []
         if self._request is not None and self._request.task.done():
@@ -175,12 +210,16 @@ class RealtimeDriver:
         goal = source(view_of(self._state), start_tick)
         task = asyncio.create_task(self._loop.make_plan(goal, tick, start_tick))
         self._request = _Request(task, start_tick, goal.text)
-        self._next_plan_tick = tick + settings.replan_ticks
+        self._next_plan_tick = tick + _period(settings, goal)
 
     async def _collect(self, request: _Request) -> list[PlanTiming]:
         try:
             plan = request.task.result()
         except asyncio.CancelledError:
+            return []
+        except SimulationError as error:
+            self._bad.count(error)
+            self._next_plan_tick = self._state.tick
             return []
         except MotionLoopError as error:
             if not _unavailable(error):
@@ -190,6 +229,7 @@ class RealtimeDriver:
             self._next_plan_tick = self._state.tick
             return []
         self._trouble = None
+        self._bad.clear()
         total_ms = (time.perf_counter() - request.began_s) * 1e3
         reply = await self._loop.track(plan)
         if not reply.accepted:

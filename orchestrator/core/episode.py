@@ -26,10 +26,11 @@ from orchestrator.core.services import Services
 from orchestrator.core.settings import LOCKSTEP, REALTIME, LoopSettings
 from shared.errors import ConflictError, MotionLoopError, NotFoundError, TransportError
 from shared.protocol.messages import TICK_HZ, CreateCharacter, Name, Pacing, Seed, StateFrame
+from shared.protocol.rest import TaskResult
 from shared.tasks.builtin import STAND_TEXT
 from shared.tasks.factory import make_task
 from shared.tasks.interface import BodyView, PlanGoal, Task, Trace, Verdict
-from shared.tasks.rules import SAFE_TICKS
+from shared.tasks.rules import SAFE_TICKS, leaning, lying
 from shared.tasks.specs import TaskSpec, TimeLimit
 
 STOOD_UP_TICKS = 15
@@ -58,25 +59,6 @@ class EpisodeSpec(BaseModel):
     tracker: Name | None = None
     loop: LoopSettings | None = None
     heading_rad: Annotated[FiniteFloat, Field(ge=-100, le=100)] = 0.0
-
-
-class TaskResult(BaseModel):
-    """How one task went. `seconds` counts from its start to the goal (or its end)."""
-
-    model_config = ConfigDict(frozen=True)
-    index: int
-    name: str
-    type: str
-    label: str
-    success_strict: bool
-    success_paper: bool
-    success_code: bool
-    fell: bool
-    seconds: float
-    start_tick: int
-    stop_tick: int
-    reason: str | None = None
-    measures: dict[str, float] = {}
 
 
 class EpisodeOutcome(BaseModel):
@@ -108,7 +90,15 @@ class _Running:
         self.fallen.append(trace.fallen[skip:])
 
     def trace(self) -> Trace:
-        return Trace(self.begin_tick + 1, np.concatenate(self.positions), np.concatenate(self.fallen))
+        """Everything since the task began; a body on the floor has fallen, unless the task may want it there."""
+        positions, fallen = np.concatenate(self.positions), np.concatenate(self.fallen)
+        return Trace(self.begin_tick + 1, positions, fallen | lying(positions) if self.task.upright else fallen)
+
+    @property
+    def leaning(self) -> bool:
+        """Whether it cannot be said yet that the body stayed up."""
+        seen = self.positions[-1] if len(self.positions[-1]) else np.concatenate(self.positions)
+        return self.task.upright and len(seen) > 0 and leaning(seen[-1])
 
 
 def task_seed(seed: int, index: int) -> int:
@@ -228,7 +218,8 @@ class EpisodeRunner:
         if performing and state.failure is not None:
             self._reason = state.failure
             return Signal.PHYSICS_FAILED
-        if performing and (state.fallen or bool(cycle.trace.fallen.any())):
+        running = self._running
+        if performing and (state.fallen or (running is not None and bool(running.trace().fallen.any()))):
             return Signal.FELL
         if phase is Phase.DEGRADED:
             back = cycle.planner_error is None and bool(cycle.plans)
@@ -239,13 +230,12 @@ class EpisodeRunner:
         if performing and cycle.planner_error is not None:
             self.events.emit("planner_lost", state.tick, reason=cycle.planner_error)
             return Signal.PLANNER_LOST
-        running = self._running
         if phase is Phase.ACTING and running is not None:
             status = running.task.status(running.trace())
             if status != "running":
                 return Signal.TASK_DONE if status == "done" else Signal.TASK_FAILED
         elapsed = state.tick - self._machine.entered_tick
-        if phase is Phase.SETTLING and elapsed > SAFE_TICKS:
+        if phase is Phase.SETTLING and elapsed > SAFE_TICKS and not (running is not None and running.leaning):
             return Signal.SETTLED
         if phase is Phase.RECOVERING and not state.fallen and elapsed >= STOOD_UP_TICKS:
             return Signal.STOOD_UP

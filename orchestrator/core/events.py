@@ -8,21 +8,10 @@ from collections import deque
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict
+from shared.protocol.rest import Event
 
 KEPT_EVENTS = 2000
 QUEUED_EVENTS = 256
-
-
-class Event(BaseModel):
-    """Something that happened. `seq` counts up from 1 within its character or episode."""
-
-    model_config = ConfigDict(frozen=True)
-    seq: int
-    type: str
-    tick: int
-    unix_s: float
-    data: dict[str, Any] = {}
 
 
 class EventLog:

@@ -14,7 +14,7 @@ import numpy as np
 from orchestrator.core.character import CharacterSession, CharacterSpec
 from orchestrator.core.drivers import Cycle
 from orchestrator.core.episode import EpisodeOutcome, EpisodeRunner, EpisodeSpec
-from orchestrator.core.events import Event, EventLog
+from orchestrator.core.events import EventLog
 from orchestrator.core.fanout import Fanout
 from orchestrator.core.services import Services, Slot
 from orchestrator.core.swap import check_spec, swap
@@ -22,6 +22,7 @@ from orchestrator.store.database import Store
 from orchestrator.store.recordings import RecordingFiles, write_atomically
 from shared.errors import ConflictError, InvalidInputError, MotionLoopError, NotFoundError, OverloadedError
 from shared.protocol.messages import CloseCharacter, Ok, Render, StateFrame, Video
+from shared.protocol.rest import Event
 from shared.protocol.security import CurveKeys
 from shared.protocol.transport import Kind
 

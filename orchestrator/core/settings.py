@@ -14,6 +14,8 @@ class LoopSettings(BaseModel):
         mode: `closed_loop`: the prefix is what the simulation did; `open_loop`: the prefix is the plan itself, the
             physics is never looked at (for comparison, REFERENCE 3).
         replan_ticks: a new plan every so many ticks at 30 Hz; 60 is the paper's loop, 15 and 120 its variants.
+        text_replan_ticks: the same for plans without a target. A plan that is cut off early never gets far into what
+            its text says: from standing, its first half second is still standing, again and again.
         plan_lead_ticks: a plan is requested so many ticks ahead of its start; 0 plans from the present state.
         horizon_frames: length of a plan at 20 fps.
         error_decay_s: time in which the tracking error added to the old plan's rest dies out.
@@ -24,6 +26,7 @@ class LoopSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
     mode: Literal["closed_loop", "open_loop"] = "closed_loop"
     replan_ticks: Annotated[int, Field(ge=3, le=300, multiple_of=3)] = 15
+    text_replan_ticks: Annotated[int, Field(ge=3, le=300, multiple_of=3)] = 30
     plan_lead_ticks: Annotated[int, Field(ge=0, le=60)] = 0
     horizon_frames: Annotated[int, Field(ge=4, le=200)] = 40
     error_decay_s: Annotated[FiniteFloat, Field(gt=0, le=5)] = 0.5
@@ -38,8 +41,8 @@ REALTIME = LoopSettings(plan_lead_ticks=12, plan_timeout_s=3.0, tracker_timeout_
 VARIANTS: dict[str, LoopSettings] = {
     "closed_loop": LoopSettings(),
     "open_loop": LoopSettings(mode="open_loop"),
-    "paper": LoopSettings(replan_ticks=60),
-    "short": LoopSettings(replan_ticks=15, horizon_frames=10),
-    "long": LoopSettings(replan_ticks=60, horizon_frames=80),
+    "paper": LoopSettings(replan_ticks=60, text_replan_ticks=60),
+    "short": LoopSettings(replan_ticks=15, text_replan_ticks=15, horizon_frames=10),
+    "long": LoopSettings(replan_ticks=60, text_replan_ticks=60, horizon_frames=80),
 }
 """Loop variants by the names of DESIGN 8; `paper` is the blocking loop of the paper."""

@@ -18,6 +18,7 @@ from orchestrator.core.settings import LOCKSTEP, LoopSettings
 from orchestrator.evaluation.statistics import wilson
 from shared.protocol.messages import TICK_HZ, CloseCharacter, CreateCharacter, Ok, StateFrame
 from shared.tasks.obey import kind_of, obeyed
+from shared.tasks.rules import lying
 
 COMMANDS: dict[str, tuple[str, ...]] = {
     "walk": (
@@ -97,11 +98,13 @@ async def _stream(
         goal = CommandGoal(Command(text=text), begin)
         driver.replan_now()
         fell = False
+        done = await loop.trace(begin + 1, begin + 1)
         while state.tick < end and not fell:
             cycle = await driver.cycle(goal, end - state.tick)
             state = cycle.state
-            fell = bool(state.fallen) or bool(cycle.trace.fallen.any())
-        outcome = obeyed(text, await loop.trace(begin + 1, state.tick + 1))
+            done = await loop.trace(begin + 1, state.tick + 1)
+            fell = bool(state.fallen) or bool((done.fallen | lying(done.pos_w_m)).any())
+        outcome = obeyed(text, done)
         note(
             {
                 "stream": stream,

@@ -1,4 +1,4 @@
-"""A recording as BVH and CSV."""
+"""A recording in the formats that are offered: npz, BVH, CSV, glTF binary. Axes and units: docs/exports.md."""
 
 from __future__ import annotations
 
@@ -6,30 +6,48 @@ import csv
 import io
 import tempfile
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
-from orchestrator.store.recordings import Recording
+from orchestrator.export.gltf import to_glb
+from orchestrator.store.recordings import Recording, to_npz
 from shared.motion.clip import MotionClip
 from shared.motion.io.bvh import write_bvh
-from shared.motion.kinematics import local_from_global
-from shared.motion.rotations import matrix_from_quat, matrix_to_6d
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import TICK_HZ
+from shared.scenes.schema import Scene
+
+Format = Literal["npz", "bvh", "csv", "glb"]
+Unit = Literal["m", "cm"]
+MEDIA_TYPES: dict[Format, str] = {
+    "npz": "application/octet-stream",
+    "bvh": "text/plain",
+    "csv": "text/csv",
+    "glb": "model/gltf-binary",
+}
+
+
+def exported(recording: Recording, kind: Format, unit: Unit = "m", scene: Scene | None = None) -> bytes:
+    """The recording as a file; `unit` counts for BVH only, `scene` (the looks of objects) for glb only."""
+    if kind == "npz":
+        return to_npz(recording)
+    if kind == "bvh":
+        return to_bvh(recording, unit)
+    return to_csv(recording) if kind == "csv" else to_glb(recording, scene)
 
 
 def clip_of(recording: Recording) -> MotionClip:
     """The simulated bodies as a clip at 30 fps: their orientations, not IK."""
-    world = matrix_from_quat(recording.arrays["body_quat_w"])
-    positions = np.asarray(recording.arrays["body_pos_w_m"], dtype=np.float64)
-    return MotionClip(positions, matrix_to_6d(local_from_global(CANONICAL, world)), TICK_HZ, CANONICAL.id)
+    arrays = recording.arrays
+    return MotionClip.from_bodies(arrays["body_pos_w_m"], arrays["body_quat_w"], TICK_HZ)
 
 
-def to_bvh(recording: Recording) -> bytes:
-    """BVH text at 30 fps."""
+def to_bvh(recording: Recording, unit: Unit = "m") -> bytes:
+    """BVH text at 30 fps, Y up, facing +Z; in metres it is to scale in Blender without any setting."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "motion.bvh"
-        write_bvh(path, clip_of(recording))
+        write_bvh(path, clip_of(recording), unit_m=1.0 if unit == "m" else 0.01)
         return path.read_bytes()
 
 

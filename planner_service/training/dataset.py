@@ -41,7 +41,7 @@ class Material:
     Attributes:
         features: (N, 263); clip: (N,) clip of each frame.
         start, length: (C,) rows of each clip; weight: (C,) share of samples, sums to 1; behaviour: (C,) number.
-        behaviours: names. texts: sentences of each clip as rows of `sentences`.
+        behaviours: names. actions: (C,) finer label of each clip. texts: sentences of each clip as rows of `sentences`.
     """
 
     features: Features
@@ -51,6 +51,7 @@ class Material:
     weight: npt.NDArray[np.float64]
     behaviour: Index
     behaviours: tuple[str, ...]
+    actions: tuple[str, ...]
     texts: tuple[tuple[int, ...], ...]
     sentences: tuple[str, ...]
 
@@ -97,22 +98,30 @@ def load_material(corpus: Corpus, split: str, frames: int, cache: Path | None = 
         weight=weight / weight.sum(),
         behaviour=np.array([behaviours.index(c.behaviour) for c in infos]),
         behaviours=behaviours,
+        actions=tuple(c.action for c in infos),
         texts=tuple(tuple(row[t] for t in c.texts) for c in infos),
         sentences=sentences,
     )
 
 
 def emphasized(material: Material, factors: Mapping[str, float]) -> Material:
-    """Material whose clips of some behaviours are drawn more (or less) often.
+    """Material whose clips of some behaviours or actions are drawn more (or less) often; both factors count.
+
+    A name that is both is the behaviour, `action:NAME` is the action.
 
     Raises:
-        InvalidInputError: a behaviour that the material does not have.
+        InvalidInputError: a behaviour or action that the material does not have.
     """
     weight = material.weight.copy()
+    actions = np.array(material.actions)
     for name, factor in factors.items():
-        if name not in material.behaviours:
-            raise InvalidInputError(f"no behaviour {name!r}", field="emphasis", allowed=", ".join(material.behaviours))
-        weight[material.behaviour == material.behaviours.index(name)] *= factor
+        if name in material.behaviours:
+            weight[material.behaviour == material.behaviours.index(name)] *= factor
+        elif name.startswith("action:") and name.removeprefix("action:") in material.actions:
+            weight[actions == name.removeprefix("action:")] *= factor
+        else:
+            known = [*material.behaviours, *(f"action:{a}" for a in sorted(set(material.actions)))]
+            raise InvalidInputError(f"no behaviour or action {name!r}", field="emphasis", allowed=", ".join(known))
     return replace(material, weight=weight / weight.sum())
 
 
@@ -142,12 +151,14 @@ class WindowBatch:
         features: (B, T, 263) float32.
         clip: (B,) clip that the plan comes from; sentence: (B,) one of its sentences.
         shown: (B,) whether the plan shows what the sentence says.
+        bent: (B,) whether the path was bent, which no sentence says.
     """
 
     features: Tensor
     clip: Index
     sentence: Index
     shown: npt.NDArray[np.bool_]
+    bent: npt.NDArray[np.bool_]
 
 
 class WindowSampler:
@@ -197,19 +208,22 @@ class WindowSampler:
         clip = rng.choice(len(m.weight), size=batch, p=m.weight)
         begin = m.start[clip] + (rng.random(batch) * (m.length[clip] - self._frames + 1)).astype(np.int64)
         windows = m.features[begin[:, None] + np.arange(self._frames)]
+        bent = np.zeros(batch, np.bool_)
         if self._finder is not None:
             joined = rng.random(batch) < JOINED_SHARE
             rows = np.flatnonzero(joined)
             if len(rows):
                 windows[rows], clip[rows] = self._join(clip[rows])
-            windows = bend(windows, random_turns(windows, self._prefix, rng))
+            turns = random_turns(windows, self._prefix, rng)
+            windows = bend(windows, turns)
+            bent = (turns != 0.0).any(axis=1)
             rows = np.flatnonzero(rng.random(batch) < DISTURBED_SHARE)
             if len(rows):
                 windows[rows] = disturb(windows[rows], self._prefix, rng)
         windows = repeat_first_rates(windows, window_positions(windows[:, :1])[:, 0])
         sentence = np.array([m.texts[c][rng.integers(len(m.texts[c]))] for c in clip])
         shown = plans_showing(windows[:, self._prefix :], [m.behaviours[m.behaviour[c]] for c in clip])
-        return WindowBatch(torch.from_numpy(windows), clip, sentence, shown)
+        return WindowBatch(torch.from_numpy(windows), clip, sentence, shown, bent)
 
     def _join(self, clip: Index) -> tuple[Features, Index]:
         """Windows that leave each of `clip` for another; they and the clips that they end in."""

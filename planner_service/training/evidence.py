@@ -10,23 +10,26 @@ import numpy as np
 import numpy.typing as npt
 
 from planner_service.training.windows import Features
-from shared.motion.features import JOINT_POSITIONS, YAW_RATE
+from shared.motion.features import JOINT_POSITIONS, ROOT_VELOCITY, YAW_RATE
 from shared.motion.metrics import FOOT_JOINTS
 from shared.motion.skeleton import CANONICAL
 
 Bools = npt.NDArray[np.bool_]
 
-LEAST_FRAMES = {"jump": 2, "kick": 2, "wave": 10, "turn": 8}
+LEAST_FRAMES = {"jump": 2, "kick": 2, "wave": 10, "turn": 8, "walk": 18, "run": 18}
 """Behaviours that are deeds, and the frames of a plan (0.05 s each) that must show them."""
 AIRBORNE_M = 0.05
 HIGH_FOOT_M = 0.35
 TURNING_RADPS = 0.35
+GOING_MPS = {"walk": 0.45, "run": 1.2}
+"""A clip of walking begins with standing, and a join from standing finds just that: so "walk" came to mean waiting."""
 
 
 def frames_showing(features: Features, behaviour: str) -> Bools:
     """(...) whether each frame of features (..., 263) shows the behaviour; always True where it is not a deed.
 
-    jump: both feet off the floor; kick: a foot high; wave: a wrist above its shoulder; turn: the body turns.
+    jump: both feet off the floor; kick: a foot high; wave: a wrist above its shoulder; turn: the body turns; walk and
+    run: the root gets on.
     """
     heights = features[..., JOINT_POSITIONS].reshape(features.shape[:-1] + (21, 3))[..., 2]
     feet = CANONICAL.indices(*FOOT_JOINTS)
@@ -39,6 +42,8 @@ def frames_showing(features: Features, behaviour: str) -> Bools:
         wrists = heights[..., CANONICAL.indices("left_wrist", "right_wrist") - 1]
         shoulders = heights[..., CANONICAL.indices("left_shoulder", "right_shoulder") - 1]
         return np.asarray((wrists > shoulders).any(-1))
+    if behaviour in GOING_MPS:
+        return np.asarray(np.linalg.norm(features[..., ROOT_VELOCITY], axis=-1) > GOING_MPS[behaviour])
     if behaviour == "turn":
         return np.asarray(np.abs(features[..., YAW_RATE][..., 0]) > TURNING_RADPS)
     return np.ones(features.shape[:-1], np.bool_)

@@ -46,7 +46,7 @@ def train(
     bf16: Annotated[bool, typer.Option(help="bfloat16 autocast")] = True,
     seed: Annotated[int, typer.Option(help="of windows, noise and dropout", min=0)] = 0,
     save_every: Annotated[int, typer.Option(help="steps between checkpoints", min=1)] = 250,
-    emphasis: Annotated[str, typer.Option(help="draw behaviours more often, e.g. wave=2,turn=1.5")] = "",
+    emphasis: Annotated[str, typer.Option(help="draw these more often, e.g. wave=2,action:walk=1.5")] = "",
     init: Annotated[Path | None, typer.Option(help="warm start from these weights (safetensors)")] = None,
 ) -> None:
     """Train DiP on a corpus."""

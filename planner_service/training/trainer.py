@@ -132,9 +132,12 @@ class Trainer:
         settings, config = self.settings, self.config
         batch = self._sampler.draw(settings.batch)
         keep = self._sampler.rng.random(settings.batch) >= settings.text_dropout
-        text, text_mask = self._texts.rows(batch.sentence, np.asarray(keep & batch.shown))
         prefix, plan = batch.features[:, : config.prefix_frames], batch.features[:, config.prefix_frames :]
         targets = sample_targets(plan, config.first_arrival_frame, self._generator)
+        asked = (targets.position_valid.any(-1) | targets.heading_valid).numpy()
+        # A bent path is explained by a target or a heading, never by the sentence alone.
+        keep &= batch.shown & (asked | ~batch.bent)
+        text, text_mask = self._texts.rows(batch.sentence, np.asarray(keep))
         clean = self.normalizer.normalize(plan)
         step = torch.randint(0, config.steps, (settings.batch,), generator=self._generator)
         noise = torch.randn(clean.shape, generator=self._generator)

@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.errors import InvalidInputError
-from shared.motion.rotations import matrix_from_6d, quat_from_matrix
+from shared.motion.kinematics import local_from_global
+from shared.motion.rotations import matrix_from_6d, matrix_from_quat, matrix_to_6d, quat_from_matrix
 from shared.motion.skeleton import CANONICAL, Skeleton, skeleton
 
 
@@ -44,6 +45,14 @@ class MotionClip:
             raise InvalidInputError(f"fps is {self.fps}", field="fps", allowed="> 0")
         if not (np.isfinite(p).all() and np.isfinite(r).all()):
             raise InvalidInputError("the clip has non-finite values", field="positions_w_m", allowed="finite")
+
+    @classmethod
+    def from_bodies(
+        cls, positions_w_m: npt.ArrayLike, quats_w: npt.ArrayLike, fps: float, skeleton_id: str = CANONICAL.id
+    ) -> MotionClip:
+        """From world positions (T, J, 3) and world orientations (T, J, 4) wxyz of the bodies."""
+        local = local_from_global(skeleton(skeleton_id), matrix_from_quat(quats_w))
+        return cls(np.asarray(positions_w_m, dtype=np.float64), matrix_to_6d(local), fps, skeleton_id)
 
     def __len__(self) -> int:
         return int(self.positions_w_m.shape[0])

@@ -12,7 +12,7 @@ from shared.motion.rotations import wrap_angle
 from shared.protocol.messages import TICK_HZ, HeadingTarget, JointTarget
 from shared.tasks import rules
 from shared.tasks.interface import BodyView, PlanGoal, Status, Trace, Verdict
-from shared.tasks.obey import obeyed
+from shared.tasks.obey import kind_of, obeyed
 from shared.tasks.specs import HaltSpec, ReachSpec, ReachTuning, TextSpec
 
 Array = npt.NDArray[np.float64]
@@ -67,6 +67,11 @@ class ReachTask:
         if self._goal is None:
             raise ConflictError("the task was not started, its goal is not known yet")
         return self._goal
+
+    @property
+    def upright(self) -> bool:
+        """Always."""
+        return True
 
     def start(self, view: BodyView) -> None:
         """Fix the goal: the given point, one relative to the body, or a random one 1-3 m away in any direction."""
@@ -151,7 +156,8 @@ class ReachTask:
         end = float(np.linalg.norm(trace.pos_w_m[-1, 0, :2] - self.goal_xy_m))
         seconds = trace.duration_s if out.met_tick is None else out.met_tick / TICK_HZ
         measures = {"goal_x_m": float(self.goal_xy_m[0]), "goal_y_m": float(self.goal_xy_m[1]), "end_distance_m": end}
-        return Verdict(out.strict, out.paper, out.code, bool(trace.fallen.any()), seconds, measures)
+        fell = bool(trace.fallen.any())
+        return Verdict(out.strict and not fell, out.paper, out.code, fell, seconds, measures)
 
     def _outcome(self, trace: Trace) -> rules.ReachOutcome:
         return rules.reach(trace.pos_w_m[:, 0, :2], trace.fallen, self.goal_xy_m)
@@ -177,6 +183,11 @@ class HaltTask:
     def time_limit_s(self) -> float:
         """The time allowed for stopping, the standing time and a margin of a second."""
         return self._spec.settle_s + self._spec.duration_s + 1.0
+
+    @property
+    def upright(self) -> bool:
+        """Always."""
+        return True
 
     def start(self, view: BodyView) -> None:
         """The spot is where the body comes to rest, which is not known yet."""
@@ -232,6 +243,11 @@ class TextTask:
     def time_limit_s(self) -> float:
         """Its duration and a margin of a second."""
         return self._spec.duration_s + 1.0
+
+    @property
+    def upright(self) -> bool:
+        """For all that has a rule; other texts may ask for lying down."""
+        return kind_of(self._spec.text) != "other"
 
     def start(self, view: BodyView) -> None:
         """Nothing to fix."""

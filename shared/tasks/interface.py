@@ -122,6 +122,11 @@ class Task(Protocol):
         """After this it has failed."""
         ...
 
+    @property
+    def upright(self) -> bool:
+        """Whether lying on the floor means that it went wrong, whatever the plan says."""
+        ...
+
     def start(self, view: BodyView) -> None:
         """Fix whatever depends on where the character is."""
         ...

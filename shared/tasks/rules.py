@@ -21,8 +21,15 @@ Bools = npt.NDArray[np.bool_]
 REACH_RADIUS_M = 0.3
 HOLD_TICKS = TICK_HZ // 2
 SAFE_TICKS = TICK_HZ
+DOWN_TICKS = 9
+"""0.3 s, as the tracker's own rule (DESIGN 2)."""
+TRUNK_ON_FLOOR_M = 0.17
+LEANING_SHARE = 0.8
 
 _J = {name: CANONICAL.index(name) for name in CANONICAL.names}
+_HEAD = _J["head"]
+_STANDING_HEAD_M = float(CANONICAL.rest_positions_m[_HEAD, 2])
+_TRUNK = CANONICAL.indices("pelvis", "spine1", "spine2", "spine3", "neck", "head")
 
 
 @dataclass(frozen=True)
@@ -58,6 +65,25 @@ def reach(
     met = first_held(inside)
     strict = met is not None and not fallen[: met + HOLD_TICKS + SAFE_TICKS + 1].any()
     return ReachOutcome(strict, not bool(fallen[: touched + 1].any()), True, met)
+
+
+def lying(pos_w_m: npt.ArrayLike) -> Bools:
+    """(T,) whether a body (T, 22, 3) has been down for 0.3 s: head below half its standing height, or trunk on floor.
+
+    Unlike the tracker's `fallen` this does not ask what the reference does: a planner that continues what it sees goes
+    on to plan for a body that has toppled, and then the reference lies too. For tasks that nobody does lying down.
+    """
+    p = np.asarray(pos_w_m, dtype=np.float64)
+    down = (p[:, _HEAD, 2] < 0.5 * _STANDING_HEAD_M) | (p[:, _TRUNK, 2] < TRUNK_ON_FLOOR_M).any(axis=1)
+    run = np.zeros(len(p), dtype=np.int64)
+    for i, low in enumerate(down):
+        run[i] = (run[i - 1] if i else 0) + 1 if low else 0
+    return np.asarray(run >= DOWN_TICKS)
+
+
+def leaning(pos_w_m: npt.ArrayLike) -> bool:
+    """Whether a body (22, 3) is on its way down or bent low: its head below 0.8 of its standing height."""
+    return float(np.asarray(pos_w_m)[_HEAD, 2]) < LEANING_SHARE * _STANDING_HEAD_M
 
 
 def drift_m(pelvis_xy_m: Array) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from websockets.sync.client import connect
 
-from orchestrator.client import MotionLoopClient, ServerProblem
+from orchestrator.client import Client, ServerProblem
 from orchestrator.core.supervise import Stack
 
 JSON = {"Content-Type": "application/json"}
@@ -34,7 +34,7 @@ def test_a_command_over_http_moves_a_character_through_three_processes(http: htt
     assert not state["fallen"]
     assert state["plan_end_tick"] >= 60
     body = http.get(f"/v1/characters/{character}").json()
-    assert body["plans"] == 3
+    assert body["plans"] == 2
     assert body["command"]["text"] == "a person is standing still."
     assert http.delete(f"/v1/characters/{character}").status_code == 204
     assert http.get(f"/v1/characters/{character}").status_code == 404
@@ -87,49 +87,49 @@ def test_bad_episodes_name_the_field_and_start_nothing(http: httpx.Client, spec:
 
 
 def test_an_episode_runs_is_followed_and_exported(stack: Stack, http: httpx.Client) -> None:
-    with MotionLoopClient(stack.url) as client:
+    with Client(stack.url) as client:
         tasks = [
             {"type": "halt", "settle_s": 0.5, "duration_s": 1.0},
             {"type": "text", "text": "jump", "duration_s": 1},
         ]
-        episode_id = client.start_episode({"tasks": tasks, "seed": 5})
-        events = list(client.events(episode_id))
+        run = client.episode(tasks, seed=5)
+        events = list(run.events())
         assert [e.seq for e in events] == list(range(1, len(events) + 1))
         assert events[-1].type == "end"
         assert events[-1].data["status"] == "finished"
-        episode = client.episode(episode_id)
+        episode = run.wait()
         assert [(r.type, r.success_strict) for r in episode.results] == [("halt", True), ("text", False)]
         assert episode.success is False
         assert episode.results[1].reason == "the motion does not show it"
-        with np.load(io.BytesIO(client.motion(episode_id, "npz")), allow_pickle=False) as data:
-            assert len(data["body_pos_w_m"]) == (episode.tick or 0) + 1
-            assert int(data["start_tick"]) == 0
-        assert client.motion(episode_id, "bvh").startswith(b"HIERARCHY")
-        assert client.motion(episode_id, "csv").count(b"\n") == (episode.tick or 0) + 2
-        assert list(client.events(episode_id)) == events
+        motion = run.motion()
+        assert len(motion) == (episode.tick or 0) + 1
+        assert motion.start_tick == 0
+        assert run.export("bvh").startswith(b"HIERARCHY")
+        assert run.export("csv").count(b"\n") == (episode.tick or 0) + 2
+        assert run.export("glb").startswith(b"glTF")
+        assert list(run.events()) == events
         page = http.get("/v1/episodes", params={"status": "finished", "limit": 1}).json()
         assert page["total"] >= 1
-        assert page["items"][0]["id"] == episode_id
-        client.cancel_episode(episode_id)
+        assert page["items"][0]["id"] == run.id
+        run.delete()
         with pytest.raises(ServerProblem, match="no episode"):
-            client.episode(episode_id)
+            run.info()
 
 
 def test_an_episode_can_be_cancelled(stack: Stack) -> None:
-    with MotionLoopClient(stack.url) as client:
-        episode_id = client.start_episode({"tasks": [{"type": "halt", "duration_s": 100}], "pacing": "realtime"})
-        client.cancel_episode(episode_id)
-        assert [e.data["status"] for e in client.events(episode_id) if e.type == "end"] == ["cancelled"]
+    with Client(stack.url) as client:
+        run = client.episode([{"type": "halt", "duration_s": 100}], pacing="realtime")
+        run.cancel()
+        assert [e.data["status"] for e in run.events() if e.type == "end"] == ["cancelled"]
 
 
 def test_the_same_seed_gives_the_same_log_bit_for_bit(stack: Stack) -> None:
-    with MotionLoopClient(stack.url) as client:
+    with Client(stack.url) as client:
         logs = []
         for _ in range(2):
-            spec = {"tasks": [{"type": "reach", "time_limit_s": 2}], "seed": 11, "tracker": "pd"}
-            episode_id = client.start_episode(spec)
-            assert [e.type for e in client.events(episode_id)][-1] == "end"
-            with np.load(io.BytesIO(client.motion(episode_id, "npz")), allow_pickle=False) as data:
+            run = client.episode([{"type": "reach", "time_limit_s": 2}], seed=11, tracker="pd")
+            assert run.wait().status == "finished"
+            with np.load(io.BytesIO(run.export("npz")), allow_pickle=False) as data:
                 logs.append({name: data[name].tobytes() for name in data.files})
         assert logs[0] == logs[1]
 
@@ -148,9 +148,9 @@ def test_swaps_show_at_the_next_plan_and_an_unfit_one_changes_nothing(stack: Sta
     assert http.get("/v1/services").json() == before
     assert http.put("/v1/services/tracker", json={"plugin": "pd"}).status_code == 200
     try:
-        state = http.post(f"/v1/characters/{character}/steps", json={"ticks": 15}).json()
+        state = http.post(f"/v1/characters/{character}/steps", json={"ticks": 30}).json()
         assert state["tracker"] == "pd"
-        assert state["tick"] == 30
+        assert state["tick"] == 45
         assert http.put("/v1/services/planner", json={"plugin": "stand"}).json()["plugin"] == "stand"
     finally:
         assert http.put("/v1/services/tracker", json={"plugin": "kinematic"}).status_code == 200

@@ -6,20 +6,24 @@ import json
 import signal
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import httpx
 import psutil
 import pytest
 
+from orchestrator.cli.braille import Canvas, side_view, top_view
+from orchestrator.client import Client
 from orchestrator.core.supervise import Stack, address_in
 from orchestrator.evaluation.statistics import percentiles, wilson
 from orchestrator.evaluation.tasks import episode_spec, summary
 from orchestrator.evaluation.text import COMMANDS, choose_commands
 from shared.errors import InvalidInputError
+from shared.motion.ik import standing_clip
 from shared.tasks.obey import kind_of
 
 MOTIONLOOP = [sys.executable, "-m", "motionloop"]
+pytestmark = pytest.mark.timeout(900)  # many processes are started, on a machine that may be busy
 
 
 def run(*arguments: str, code: int = 0) -> subprocess.CompletedProcess[str]:
@@ -28,30 +32,84 @@ def run(*arguments: str, code: int = 0) -> subprocess.CompletedProcess[str]:
     return done
 
 
+@pytest.fixture
+def no_characters(stack: Stack) -> Iterator[None]:
+    """End the characters that a test leaves."""
+    yield
+    with Client(stack.url) as client:
+        for character in client.characters:
+            character.close()
+
+
+@pytest.mark.usefixtures("no_characters")
 def test_say_swap_and_an_episode_file(stack: Stack, tmp_path: Path) -> None:
     assert "taken at tick" in run("say", "a person is standing still.", "--url", stack.url).stderr
-    refused = run("say", "walk", "--target", "1,2", "--url", stack.url, code=1)
+    refused = run("say", "walk", "--target", "1", "--url", stack.url, code=1)
     assert "x,y,z" in refused.stderr
     far = run("say", "walk", "--target", "99,0,0", "--url", stack.url, code=1)
     assert "target.position_m" in far.stderr
     assert "within 30 m" in far.stderr
     assert "stand" in run("swap", "planner", "--plugin", "stand", "--url", stack.url).stderr
+    assert "allowed: stand, clip" in run("swap", "planner", "--plugin", "x", "--url", stack.url, code=1).stderr
     file = tmp_path / "episode.yaml"
     file.write_text("seed: 2\ntasks:\n  - {type: halt, settle_s: 0.5, duration_s: 0.5}\n")
     out = tmp_path / "out"
-    run("episode", str(file), "--url", stack.url, "--json", str(tmp_path / "result.json"))
+    shown = run("episode", str(file), "--url", stack.url, "--json", str(tmp_path / "result.json"))
+    assert "ok after" in shown.stderr
     episode = json.loads((tmp_path / "result.json").read_text())
     assert episode["success"] is True
-    run("export", episode["id"], "--out", str(out), "--formats", "npz,bvh,csv", "--url", stack.url)
-    assert sorted(path.suffix for path in out.iterdir()) == [".bvh", ".csv", ".npz"]
-    with httpx.Client(base_url=stack.url) as http:
-        for item in http.get("/v1/characters").json()["items"]:
-            http.delete(f"/v1/characters/{item['id']}")
+    wanted = ["--out", str(out), "--formats", "npz,bvh,csv,glb", "--url", stack.url]
+    run("export", episode["id"], *wanted)
+    assert sorted(path.suffix for path in out.iterdir()) == [".bvh", ".csv", ".glb", ".npz"]
+    listed = json.loads(run("export", "--json", str(tmp_path / "files.json"), *wanted).stdout)
+    assert listed["episode"] == episode["id"]
+    assert "allowed: npz, bvh, csv, glb, mp4" in run("export", *wanted, "--formats", "fbx", code=1).stderr
+    file.write_text("tasks: [\n")
+    assert "no YAML" in run("episode", str(file), "--url", stack.url, code=1).stderr
 
 
-def test_without_a_server_it_says_so(free_port: object) -> None:
-    assert callable(free_port)
-    assert "no server" in run("say", "walk", "--url", f"http://127.0.0.1:{free_port()}", code=1).stderr
+@pytest.mark.usefixtures("no_characters")
+def test_say_and_swap_as_json_and_watch_by_numbers(stack: Stack, tmp_path: Path) -> None:
+    url = ["--url", stack.url]
+    assert "there is no character" in run("watch", "--seconds", "1", *url, code=1).stderr
+    file = tmp_path / "out.json"
+    told = json.loads(run("say", "walk", "--target", "1,0.5", "--json", str(file), *url).stdout)
+    assert told == json.loads(file.read_text())
+    assert (told["target"], told["joint"]) == ([1.0, 0.5], "traj")
+    used = json.loads(run("swap", "--json", str(file), *url).stdout)
+    assert (used["planner"]["plugin"], used["tracker"]["plugin"]) == ("stand", "kinematic")
+    lines = tmp_path / "new" / "states.jsonl"
+    view = run("watch", "--seconds", "2", "--json", str(lines), *url).stderr
+    for words in ("side", "top", "plan latency", "traj (1.0, 0.5, 0.0)", told["character"][:8], "running"):
+        assert words in view
+    ticks = [json.loads(line)["tick"] for line in lines.read_text().splitlines()]
+    assert ticks == sorted(set(ticks)) != []
+
+
+def test_a_canvas_puts_dots_where_they_belong() -> None:
+    canvas = Canvas(2, 1, (0.0, 0.0), 4.0)  # 4 x 4 dots, one a metre
+    canvas.line((-1.5, 1.5), (-1.5, 1.5))
+    canvas.line((1.5, -1.5), (1.5, -1.5))
+    canvas.line((9.0, 9.0), (9.0, 9.0))
+    assert canvas.lines() == ["\u2801\u2880"]
+    standing = standing_clip(1, 30).positions_w_m[0]
+    side = side_view(standing, 0.0)
+    assert (len(side), {len(line) for line in side}) == (16, {22})
+    floor = side[-1][0]
+    assert side[-1].count(floor) > 15, "the floor is in the lowest line"
+    assert floor not in "".join(side[:-1])
+    assert floor != "\u2800"
+    top = top_view(standing, target_xy_m=standing[0, :2] + [9.0, 0.0])
+    assert any(cell != "\u2800" for cell in "".join(top[:3])), "a far target is drawn at the edge, here the upper one"
+    assert top_view(standing)[:3] == ["\u2800" * 32] * 3
+
+
+def test_without_a_server_it_says_what_to_do(free_port: Callable[[], int]) -> None:
+    url = f"http://127.0.0.1:{free_port()}"
+    for command in (["say", "walk"], ["watch"], ["swap"], ["export"]):
+        said = run(*command, "--url", url, code=1).stderr
+        assert "no server" in said
+        assert "motionloop serve all" in said
 
 
 def test_conformance_of_both_services(stack: Stack) -> None:

@@ -64,8 +64,6 @@ def test_help_says_what_a_command_takes(command: str, mentions: tuple[str, ...])
     [
         ["serve", "dragon"],
         ["swap", "orchestrator", "--plugin", "x"],
-        ["swap"],
-        ["export"],
         ["eval", "tasks", "--episodes", "0"],
         ["data", "import", "/nowhere", "/tmp/out"],
         ["data", "build", "/nowhere", "/tmp/out"],

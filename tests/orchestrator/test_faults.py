@@ -11,13 +11,13 @@ from typing import Any
 
 import psutil
 
-from orchestrator.client import MotionLoopClient
+from orchestrator.client import Client
 from orchestrator.core.supervise import Stack
 from shared.protocol.messages import Health, HealthReport
 from shared.protocol.transport import ServiceClient
 from tests.orchestrator.support import light
 
-LONG: dict[str, Any] = {"tasks": [{"type": "halt", "duration_s": 60}], "pacing": "realtime"}
+LONG: list[dict[str, Any]] = [{"type": "halt", "duration_s": 60}]
 
 
 def wait_for(condition: Callable[[], bool], what: str, give_up_s: float = 60.0) -> None:
@@ -27,54 +27,54 @@ def wait_for(condition: Callable[[], bool], what: str, give_up_s: float = 60.0) 
         time.sleep(0.1)
 
 
-def wait_for_phase(client: MotionLoopClient, episode_id: str, phase: str) -> None:
+def wait_for_phase(client: Client, episode_id: str, phase: str) -> None:
     def reached() -> bool:
-        episode = client.episode(episode_id)
+        episode = client.episodes[episode_id].info()
         assert episode.status == "running", f"{episode.status}: {episode.reason}"
         return episode.phase == phase
 
     wait_for(reached, phase)
 
 
-def end_of(client: MotionLoopClient, episode_id: str) -> dict[str, Any]:
+def end_of(client: Client, episode_id: str) -> dict[str, Any]:
     """What the last event says; waits for it."""
-    return next(event.data for event in client.events(episode_id) if event.type == "end")
+    return next(event.data for event in client.episodes[episode_id].events() if event.type == "end")
 
 
 def test_a_frozen_planner_degrades_the_episode_which_goes_on_when_it_is_back(tmp_path: Path) -> None:
-    with Stack(light(tmp_path)) as stack, MotionLoopClient(stack.url) as client:
-        episode_id = client.start_episode(LONG)
+    with Stack(light(tmp_path)) as stack, Client(stack.url) as client:
+        episode_id = client.episode(LONG, pacing="realtime").id
         wait_for_phase(client, episode_id, "acting")
         os.kill(stack.planner.pid, signal.SIGSTOP)
         try:
             wait_for_phase(client, episode_id, "degraded")
-            tick = client.episode(episode_id).tick or 0
-            wait_for(lambda: (client.episode(episode_id).tick or 0) > tick, "the physics goes on")
+            tick = client.episodes[episode_id].info().tick or 0
+            wait_for(lambda: (client.episodes[episode_id].info().tick or 0) > tick, "the physics goes on")
         finally:
             os.kill(stack.planner.pid, signal.SIGCONT)
         wait_for_phase(client, episode_id, "acting")
-        client.cancel_episode(episode_id)
-        kinds = [event.type for event in client.events(episode_id)]
+        client.episodes[episode_id].cancel()
+        kinds = [event.type for event in client.episodes[episode_id].events()]
         assert kinds.index("planner_lost") < kinds.index("planner_back")
 
 
 def test_a_killed_planner_leaves_the_physics_running_until_the_episodes_limit(tmp_path: Path) -> None:
-    with Stack(light(tmp_path)) as stack, MotionLoopClient(stack.url) as client:
-        episode_id = client.start_episode({**LONG, "time_limit_s": 12})
+    with Stack(light(tmp_path)) as stack, Client(stack.url) as client:
+        episode_id = client.episode(LONG, pacing="realtime", time_limit_s=12).id
         wait_for_phase(client, episode_id, "acting")
         os.kill(stack.planner.pid, signal.SIGKILL)
         assert not client.ready()
         end = end_of(client, episode_id)
-        events = {event.type: event for event in client.events(episode_id)}
+        events = {event.type: event for event in client.episodes[episode_id].events()}
         assert "answer" in (said := str(events["planner_lost"].data["reason"])) or "PlanRequest" in said
         assert (end["status"], end["reason"]) == ("failed", "the episode's time limit was reached")
         # By the wall clock a tick may pass before the limit is noticed.
-        assert 360 <= (client.episode(episode_id).tick or 0) <= 366
+        assert 360 <= (client.episodes[episode_id].info().tick or 0) <= 366
 
 
 def test_a_killed_tracker_ends_every_episode_with_the_reason(tmp_path: Path) -> None:
-    with Stack(light(tmp_path)) as stack, MotionLoopClient(stack.url) as client:
-        episodes = [client.start_episode({**LONG, "pacing": pacing}) for pacing in ("realtime", "lockstep")]
+    with Stack(light(tmp_path)) as stack, Client(stack.url) as client:
+        episodes = [client.episode(LONG, pacing=pacing).id for pacing in ("realtime", "lockstep")]
         wait_for_phase(client, episodes[0], "acting")
         os.kill(stack.tracker.pid, signal.SIGKILL)
         for end in (end_of(client, episode_id) for episode_id in episodes):
@@ -85,8 +85,8 @@ def test_a_killed_tracker_ends_every_episode_with_the_reason(tmp_path: Path) -> 
 
 def test_a_stopped_orchestrator_ends_cleanly_and_the_services_wait_for_the_next(tmp_path: Path) -> None:
     with Stack(light(tmp_path)) as stack:
-        with MotionLoopClient(stack.url) as client:
-            wait_for_phase(client, client.start_episode(LONG), "acting")
+        with Client(stack.url) as client:
+            wait_for_phase(client, client.episode(LONG, pacing="realtime").id, "acting")
         orchestrator = stack.orchestrator
         assert orchestrator is not None
         os.kill(orchestrator.pid, signal.SIGTERM)
@@ -99,8 +99,8 @@ def test_a_stopped_orchestrator_ends_cleanly_and_the_services_wait_for_the_next(
 
 def test_the_stack_leaves_no_process_behind_and_the_store_knows_of_a_killed_orchestrator(tmp_path: Path) -> None:
     with Stack(light(tmp_path)) as stack:
-        with MotionLoopClient(stack.url) as client:
-            episode_id = client.start_episode(LONG)
+        with Client(stack.url) as client:
+            episode_id = client.episode(LONG, pacing="realtime").id
             wait_for_phase(client, episode_id, "acting")
         orchestrator = stack.orchestrator
         assert orchestrator is not None
@@ -108,7 +108,7 @@ def test_the_stack_leaves_no_process_behind_and_the_store_knows_of_a_killed_orch
         os.kill(orchestrator.pid, signal.SIGKILL)
         wait_for(lambda: stack.dead() == ["orchestrator"], "noticed")
     assert not any(psutil.pid_exists(pid) for pid in pids)
-    with Stack(light(tmp_path)) as stack, MotionLoopClient(stack.url) as client:
-        episode = client.episode(episode_id)
+    with Stack(light(tmp_path)) as stack, Client(stack.url) as client:
+        episode = client.episodes[episode_id].info()
         assert episode.status == "interrupted"
         assert "stopped" in str(episode.reason)

@@ -130,3 +130,21 @@ def test_stand_may_take_two_seconds_to_stop() -> None:
     out.pos_w_m[60:] = out.pos_w_m[60]
     assert obeyed("stand still", out).obeyed
     assert not obeyed("stand still", moving(150, 0.1)).obeyed
+
+
+def test_a_body_on_the_floor_is_lying_after_three_tenths_of_a_second_whatever_the_plan_says() -> None:
+    standing = np.repeat(CANONICAL.rest_positions_m[None], 30, axis=0)
+    assert not rules.lying(standing).any()
+    fallen = standing.copy()
+    fallen[10:] = fallen[10:, :, [2, 1, 0]]  # flat along X
+    assert np.flatnonzero(rules.lying(fallen))[0] == 10 + rules.DOWN_TICKS - 1
+    brief = standing.copy()
+    brief[10:18] = fallen[10]
+    assert not rules.lying(brief).any()
+
+
+def test_leaning_begins_a_fifth_below_the_standing_head() -> None:
+    bent = CANONICAL.rest_positions_m.copy()
+    assert not rules.leaning(bent)
+    bent[CANONICAL.index("head"), 2] *= 0.79
+    assert rules.leaning(bent)

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from orchestrator.core.episode import EpisodeOutcome, EpisodeSpec
-from orchestrator.core.events import Event
 from orchestrator.export.formats import to_bvh, to_csv
 from orchestrator.store.database import Store
 from orchestrator.store.recordings import Recording, RecordingFiles, from_npz, to_npz
@@ -20,6 +19,7 @@ from shared.errors import NotFoundError
 from shared.motion.ik import standing_clip
 from shared.motion.io.bvh import read_bvh
 from shared.protocol.messages import TickRange
+from shared.protocol.rest import Event
 from shared.tasks.specs import HaltSpec
 
 SPEC = EpisodeSpec(tasks=[HaltSpec()])

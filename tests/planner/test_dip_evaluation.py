@@ -78,3 +78,12 @@ def test_wave_turn_and_the_rest() -> None:
     plans = np.stack([global_to_features(m, 20).astype(np.float32) for m in motions])
     shown = plans_showing(plans, ["wave", "wave", "turn", "turn", "stand"])
     assert shown.tolist() == [True, False, True, False, True]
+
+
+def test_standing_is_not_walking_and_walking_is_not_running() -> None:
+    walking = moving_body(41, 20.0, 1.0, 0.0)[1:]
+    late = np.concatenate([np.repeat(walking[:1], 25, 0), walking[:15]])
+    plans = np.stack(
+        [global_to_features(m, 20).astype(np.float32) for m in (walking, STANDING.repeat(2, 0), late, walking)]
+    )
+    assert plans_showing(plans, ["walk", "walk", "walk", "run"]).tolist() == [True, False, False, False]

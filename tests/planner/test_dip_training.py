@@ -118,6 +118,21 @@ def test_facing_backwards_costs_pi_squared(material: Material) -> None:
     assert abs(terms["heading"] * 8 / max(int(targets.heading_valid.sum()), 1) - np.pi**2) < 1e-2
 
 
+def test_half_of_the_windows_have_nothing_but_their_text(material: Material) -> None:
+    plan = WindowSampler(material, 20, 40, 0).draw(512).features[:, 20:]
+    targets = sample_targets(plan, 8, torch.Generator().manual_seed(3))
+    free = ~(targets.position_valid.any(-1) | targets.heading_valid)
+    # 0.5 + 0.5 x 0.2 x 0.5: a joint or a heading, or neither by chance.
+    assert abs(float(free.float().mean()) - 0.55) < 0.07
+
+
+def test_bent_windows_say_so(material: Material) -> None:
+    batch = WindowSampler(material, 20, 40, 0).draw(256)
+    straight = WindowSampler(material, 20, 40, 0, augment=False).draw(256)
+    assert 0 < batch.bent.sum() < 256
+    assert not straight.bent.any()
+
+
 def test_targets_are_where_the_clip_is_at_arrival(material: Material) -> None:
     plan = WindowSampler(material, 20, 40, 0).draw(64).features[:, 20:]
     targets = sample_targets(plan, 8, torch.Generator().manual_seed(1))
@@ -188,6 +203,11 @@ def test_emphasis_multiplies_a_behaviours_share(material: Material) -> None:
     before = material.weight[material.behaviour == stand].sum()
     after = emphasized(material, {"stand": 3.0}).weight[material.behaviour == stand].sum()
     assert abs(after - 3 * before / (1 + 2 * before)) < 1e-9
+    action = material.actions[0]
+    own = np.array([a == action for a in material.actions])
+    share = material.weight[own].sum()
+    doubled = emphasized(material, {f"action:{action}": 2.0}).weight[own].sum()
+    assert abs(doubled - 2 * share / (1 + share)) < 1e-9
     with pytest.raises(InvalidInputError) as caught:
         emphasized(material, {"fly": 2.0})
     assert caught.value.field == "emphasis"

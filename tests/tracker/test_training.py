@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 import torch
 from safetensors.numpy import load_file
 
+from shared.errors import InvalidInputError
 from shared.motion.ik import standing_clip
 from shared.scenes.schema import load_scene
 from tracker_service.policy.observations import feedforward_targets
@@ -18,7 +20,15 @@ from tracker_service.simulation.character_spec import HUMAN
 from tracker_service.simulation.humanoid import humanoid
 from tracker_service.simulation.scene import build_scene
 from tracker_service.training import rewards
-from tracker_service.training.dataset import MotionInput, ReferenceSet, prepare, prepare_cached
+from tracker_service.training.dataset import (
+    MotionInput,
+    ReferenceSet,
+    concatenated,
+    largest_change_rad,
+    load_bank,
+    prepare,
+    prepare_cached,
+)
 from tracker_service.training.env import EnvSettings, TrackingEnv
 from tracker_service.training.evaluate import evaluate
 from tracker_service.training.export import export_weights
@@ -65,7 +75,7 @@ def test_numpy_policy_equals_torch(references: ReferenceSet, tmp_path: Path) -> 
     for _ in range(2):
         t.iterate()
     with torch.no_grad():
-        t.network.actor[-1].weight.mul_(100.0)
+        t.averaged[-1].weight.mul_(100.0)
     t.save(tmp_path / "checkpoint.pt")
     path = export_weights(tmp_path / "checkpoint.pt", tmp_path / "ppo.safetensors", {})
     tracker = PpoTracker(t.env.ratio, path)
@@ -226,3 +236,47 @@ def test_antithetic_advantages_point_where_the_reward_is(references: ReferenceSe
     assert np.isfinite(rollout.contrast).all()
     assert rollout.contrast.std() > 0
     assert not rollout.contrast[rollout.exploded].any()
+
+
+def test_a_bank_of_plans_joins_the_corpus_with_its_share(references: ReferenceSet, tmp_path: Path) -> None:
+    with pytest.raises(InvalidInputError, match="no pieces"):
+        load_bank(tmp_path)
+    for name, frames in (("x", 50), ("y", 100)):
+        np.savez(tmp_path / f"{name}.npz", positions_w_m=swaying(name, frames).positions_w_m.astype(np.float32))
+    bank = prepare(HUMANOID, load_bank(tmp_path))
+    both = concatenated(references, bank, 0.4)
+    assert [str(n) for n in both.names] == ["a", "b", "x@0", "y@0"]
+    np.testing.assert_allclose(both.weight, [0.3, 0.3, 0.4 / 3, 0.8 / 3])
+    last = slice(both.start[3], both.start[3] + both.length[3])
+    np.testing.assert_array_equal(both.qpos[last], bank.qpos[bank.start[1] : bank.start[1] + 100])
+    assert both.start[3] + both.length[3] == len(both.qpos)
+
+
+def test_long_pieces_of_a_bank_are_cut_with_an_overlap(tmp_path: Path) -> None:
+    whole = np.zeros((500, 22, 3), np.float32) + np.arange(500, dtype=np.float32)[:, None, None]
+    np.savez(tmp_path / "long.npz", positions_w_m=whole)
+    cuts = [(m.name, m.positions_w_m[0, 0, 0], len(m.positions_w_m)) for m in load_bank(tmp_path)]
+    assert cuts == [("long@0", 0, 180), ("long@120", 120, 180), ("long@240", 240, 180), ("long@360", 360, 140)]
+
+
+def test_the_averaged_policy_lags_behind_and_survives_a_restart(references: ReferenceSet, tmp_path: Path) -> None:
+    run = trainer(references, tmp_path / "a")
+    run.iterate()
+    first = [p.clone() for p in run.network.actor.parameters()]
+    assert all(torch.equal(a, b) for a, b in zip(run.averaged.parameters(), first, strict=True))
+    run.iterate()
+    for mean, old, new in zip(run.averaged.parameters(), first, run.network.actor.parameters(), strict=True):
+        torch.testing.assert_close(mean, (old + new) / 2)
+    run.save(tmp_path / "checkpoint.pt")
+    again = trainer(references, tmp_path / "b")
+    again.load(tmp_path / "checkpoint.pt")
+    assert all(torch.equal(a, b) for a, b in zip(run.averaged.parameters(), again.averaged.parameters(), strict=True))
+
+
+def test_the_largest_change_of_a_clip_is_not_seen_across_its_ends(references: ReferenceSet) -> None:
+    qpos = references.qpos.copy()
+    qpos[references.start[1] :, 7:] += 5.0  # between the clips: no jump of either
+    qpos[references.start[1] + 10 :, 9] += 2.0
+    a, b = largest_change_rad(replace(references, qpos=qpos))
+    assert a < 0.1
+    assert b == pytest.approx(2.0, abs=0.1)

@@ -177,6 +177,16 @@ def test_late_plans(client: ServiceClient) -> None:
     assert client.ask(Observe(), StateFrame, "late").plan_end_tick == before
 
 
+def test_a_plan_is_welcome_however_long_there_was_none(client: ServiceClient) -> None:
+    """A planner that was away for longer than the reference holds (20 s) can be followed again."""
+    client.ask(CreateCharacter(tracker="kinematic"), StateFrame, "long", timeout_s=20.0)
+    step(client, "long", 900)
+    assert client.ask(track(900, standing_plan(40)), TrackReply, "long").entered_tick == 900
+    after = step(client, "long", 60)
+    assert after.plan_end_tick == 960
+    np.testing.assert_allclose(ticks(client, "long", 915, 945, 20).body_pos_w_m, standing_plan(40)[9:29], atol=0.02)
+
+
 def test_frames_are_published(service: TrackerService, client: ServiceClient) -> None:
     create(client, "seen")
     subscriber = StateSubscriber(service.state_endpoint, "seen")

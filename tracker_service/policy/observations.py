@@ -16,7 +16,8 @@ Array = npt.NDArray[np.floating]
 PREVIEW_TICKS = (1, 4)
 """Which coming reference ticks are seen: the next and the fourth next (REFERENCE 6)."""
 
-FEEDFORWARD_LIMIT_RAD = 0.5
+FEEDFORWARD_LIMIT_RAD = 1.0
+"""The most a servo target leads the reference to make up for the servo's lag (damping / stiffness times the rate)."""
 
 
 @dataclass(frozen=True)

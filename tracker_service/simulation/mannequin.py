@@ -9,19 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import mujoco
-import numpy as np
-import numpy.typing as npt
 
+from shared.motion.figure import COLOURS, Part, parts_of
 from shared.motion.skeleton import Skeleton
-from tracker_service.simulation.scene_shapes import SceneShape, Vec
+from tracker_service.simulation.scene_shapes import SceneShape
 
 KEY_LIGHT = "key"
 KEY_LIGHT_DIR = (-0.45, 0.35, -0.85)
-BODY_RGBA = (0.86, 0.80, 0.71, 1.0)
-LEFT_RGBA = (0.32, 0.55, 0.70, 1.0)
-RIGHT_RGBA = (0.80, 0.47, 0.34, 1.0)
-JOINT_RGBA = (0.25, 0.26, 0.30, 1.0)
-
 
 _KINDS = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
@@ -31,23 +25,6 @@ _KINDS = {
     "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
 }
 
-# Outlines of limb segments: (place along the segment, radius as a fraction of stature), by the joint they begin at.
-_OUTLINES: dict[str, tuple[tuple[float, float], ...]] = {
-    "hip": ((0.0, 0.043), (0.12, 0.047), (0.35, 0.044), (0.7, 0.034), (0.9, 0.029), (1.0, 0.028)),
-    "knee": ((0.0, 0.028), (0.12, 0.029), (0.3, 0.034), (0.5, 0.030), (0.8, 0.020), (1.0, 0.019)),
-    "shoulder": ((0.0, 0.028), (0.15, 0.029), (0.45, 0.026), (0.8, 0.021), (1.0, 0.020)),
-    "elbow": ((0.0, 0.020), (0.2, 0.023), (0.5, 0.020), (0.85, 0.014), (1.0, 0.013)),
-    "collar": ((0.0, 0.034), (0.5, 0.034), (1.0, 0.030)),
-    "neck": ((0.0, 0.032), (0.5, 0.029), (1.15, 0.029)),
-}
-# Ellipsoids of trunk and head by joint: centre, half sizes (fractions of stature), material.
-_TRUNK: dict[str, tuple[tuple[Vec, Vec, str], ...]] = {
-    "pelvis": (((-0.002, 0, -0.008), (0.062, 0.096, 0.060), "joint"), ((0.0, 0, 0.032), (0.057, 0.086, 0.058), "body")),
-    "spine1": (((0.002, 0, 0.030), (0.055, 0.080, 0.070), "body"),),
-    "spine2": (((0.005, 0, 0.020), (0.060, 0.088, 0.078), "body"),),
-    "spine3": (((0.0, 0, 0.040), (0.065, 0.102, 0.085), "body"),),
-    "head": (((0.006, 0, 0.046), (0.052, 0.044, 0.063), "body"), ((0.049, 0, 0.054), (0.011, 0.032, 0.010), "joint")),
-}
 _EXTENT_M = 2.5
 
 
@@ -104,102 +81,39 @@ def _backdrop(spec: mujoco.MjSpec) -> None:
     )  # fmt: skip
     floor = spec.add_material(name="floor", texrepeat=[1, 1], texuniform=True, reflectance=0.0, specular=0.1)
     floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "grid"
-    for name, rgba in (("body", BODY_RGBA), ("left", LEFT_RGBA), ("right", RIGHT_RGBA), ("joint", JOINT_RGBA)):
+    for name, rgba in COLOURS.items():
         spec.add_material(name=name, rgba=list(rgba), specular=0.25, shininess=0.35)
-
-
-def _geom(body: mujoco.MjsBody, kind: str, size: Vec, pos: npt.ArrayLike, material: str, quat: Vec = ()) -> None:
-    """One geom; missing half sizes are zero."""
-    full = [*size, 0.0, 0.0, 0.0][:3]
-    body.add_geom(
-        type=_KINDS[kind], size=full, pos=np.asarray(pos, dtype=float).tolist(),
-        quat=list(quat or (1.0, 0.0, 0.0, 0.0)), material=material, contype=0, conaffinity=0,
-    )  # fmt: skip
-
-
-def _segment(spec: mujoco.MjSpec, body: mujoco.MjsBody, end_m: npt.NDArray[np.float64], part: str, scale: float) -> str:
-    """Add the mesh of a limb from the body's origin to `end_m` (a surface of revolution with round ends); its name."""
-    length = float(np.linalg.norm(end_m))
-    places, radii = np.array(_OUTLINES[part]).T
-    along = np.linspace(places[0], places[-1], 13)
-    radius = np.interp(along, places, radii) * scale
-    cap = np.linspace(0.0, np.pi / 2, 6)[1:]
-    x = np.concatenate([(along[0] * length - radius[0] * np.sin(cap))[::-1], along * length,
-                        along[-1] * length + radius[-1] * np.sin(cap)])  # fmt: skip
-    r = np.concatenate([(radius[0] * np.cos(cap))[::-1], radius, radius[-1] * np.cos(cap)])
-    vertices, normals, faces = _revolve(x, np.maximum(r, 1e-5), end_m / length)
-    name = f"{body.name}_mesh"
-    mesh = spec.add_mesh(name=name)
-    mesh.uservert, mesh.usernormal = vertices.ravel().tolist(), normals.ravel().tolist()
-    mesh.userface = mesh.userfacenormal = faces.ravel().tolist()
-    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-    return name
-
-
-def _revolve(
-    x: npt.NDArray[np.float64], r: npt.NDArray[np.float64], axis: npt.NDArray[np.float64], around: int = 14
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.int64]]:
-    """Vertices and normals (len(x) * around, 3) and triangles of the outline r(x) turned about `axis`."""
-    helper = np.array([0.0, 0.0, 1.0]) if abs(axis[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
-    u = np.cross(axis, helper)
-    u /= np.linalg.norm(u)
-    v = np.cross(axis, u)
-    angle = np.arange(around) * (2 * np.pi / around)
-    radial = np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v
-    slope_x, slope_r = np.gradient(x), np.gradient(r)
-    normals = slope_x[:, None, None] * radial - slope_r[:, None, None] * axis
-    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-9)
-    vertices = x[:, None, None] * axis + r[:, None, None] * radial
-    ring, spoke = np.meshgrid(np.arange(len(x) - 1), np.arange(around), indexing="ij")
-    a, b = ring * around + spoke, ring * around + (spoke + 1) % around
-    faces = np.concatenate([np.stack([a, b, a + around], -1), np.stack([b, b + around, a + around], -1)])
-    return vertices.reshape(-1, 3), normals.reshape(-1, 3), faces.reshape(-1, 3)
 
 
 def _dress(spec: mujoco.MjSpec, body: mujoco.MjsBody, skeleton: Skeleton, joint: int) -> None:
     """Give the body of one joint its shapes, in the T-pose frame (X forward, Y left, Z up)."""
-    name, h = skeleton.names[joint], skeleton.height_m
-    side = name.partition("_")[0]
-    part = name.removeprefix("left_").removeprefix("right_")
-    material = side if side in ("left", "right") else "body"
-    if part in _OUTLINES:
-        end = skeleton.offsets_m[skeleton.children(joint)[0]]
-        mesh = _segment(spec, body, end, part, h)
-        colour = {"collar": "body", "neck": "joint"}.get(part, material)
-        body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh, material=colour, contype=0, conaffinity=0)
-    if part in ("hip", "knee", "shoulder", "elbow"):
-        _geom(body, "sphere", (_OUTLINES[part][0][1] * 1.08 * h,), (0, 0, 0), "joint")
-    elif part == "ankle":
-        _dress_foot(body, skeleton, joint, material)
-    elif part == "foot":
-        length, drop = 0.036 * h, -0.0095 * h
-        _geom(body, "box", (length / 2, 0.026 * h, 0.0085 * h), (length / 2 - 0.002, 0, drop), material)
-        _geom(body, "cylinder", (0.026 * h, 0.0085 * h), (length - 0.002, 0, drop), material)
-    elif part == "wrist":
-        out = float(np.sign(skeleton.offsets_m[joint][1]))
-        _geom(body, "ellipsoid", (0.024 * h, 0.050 * h, 0.013 * h), (0, out * 0.042 * h, 0), material)
-        _geom(body, "sphere", (0.0165 * h,), (0, 0, 0), "joint")
-    elif part in _TRUNK:
-        for (x, y, z), size, colour in _TRUNK[part]:
-            _geom(body, "ellipsoid", (size[0] * h, size[1] * h, size[2] * h), (x * h, y * h, z * h), colour)
+    for part in parts_of(skeleton, joint):
+        if part.kind == "limb":
+            mesh = _limb_mesh(spec, body.name, part)
+            body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh, material=part.colour, contype=0, conaffinity=0
+            )
+        elif part.kind == "capsule":
+            body.add_geom(
+                type=_KINDS[part.kind], fromto=[0, 0, 0, *part.end_m], size=[*part.size_m, 0.0, 0.0],
+                material=part.colour, contype=0, conaffinity=0,
+            )  # fmt: skip
+        else:
+            body.add_geom(
+                type=_KINDS[part.kind], size=[*part.size_m, 0.0, 0.0][:3], pos=list(part.position_m),
+                material=part.colour, contype=0, conaffinity=0,
+            )  # fmt: skip
 
 
-def _dress_foot(body: mujoco.MjsBody, skeleton: Skeleton, joint: int, material: str) -> None:
-    """Heel and instep: from the heel behind the ankle to the ball of the foot."""
-    h = skeleton.height_m
-    toe = skeleton.offsets_m[skeleton.children(joint)[0]]
-    sole = toe[2] - 0.018 * h
-    heel = -0.030 * h
-    thick = 0.0125 * h
-    middle = ((toe[0] + heel) / 2, 0.0, sole + thick)
-    _geom(body, "box", ((toe[0] - heel) / 2, 0.026 * h, thick), middle, material)
-    _geom(body, "cylinder", (0.026 * h, thick), (heel, 0.0, sole + thick), material)
-    top = np.array([toe[0] * 0.72, 0.0, sole + 2.0 * thick])
-    body.add_geom(
-        type=_KINDS["capsule"], fromto=[0, 0, 0, *top.tolist()], size=[0.0225 * h, 0, 0], material=material,
-        contype=0, conaffinity=0,
-    )  # fmt: skip
-    _geom(body, "sphere", (0.024 * h,), (0, 0, 0), "joint")
+def _limb_mesh(spec: mujoco.MjSpec, body: str, part: Part) -> str:
+    """Add the mesh of a limb; its name."""
+    triangles = part.mesh()
+    name = f"{body}_mesh"
+    mesh = spec.add_mesh(name=name)
+    mesh.uservert, mesh.usernormal = triangles.vertices_m.ravel().tolist(), triangles.normals.ravel().tolist()
+    mesh.userface = mesh.userfacenormal = triangles.faces.ravel().tolist()
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    return name
 
 
 def _add_objects(spec: mujoco.MjSpec, shapes: Sequence[SceneShape]) -> None:

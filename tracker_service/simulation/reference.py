@@ -36,6 +36,7 @@ HISTORY_FRAMES = 12
 STAND_FRAMES = 10
 """A finished plan turns into a stand over half a second."""
 SETTLED_FRAMES = 10
+MAX_AHEAD_TICKS = 600
 STAND_UP_HEIGHT_M = 0.7
 """A plan that ends with the pelvis lower than this (sitting, lying) is held, not turned into a stand."""
 MAX_COAST_MPS = 2.0
@@ -137,9 +138,12 @@ class ReferenceBuffer:
             )
         kept = self._frames[: frame + 1 - self._first_frame]
         missing = frame + 1 - self._first_frame - len(kept)
-        if missing > 20 * PLANNER_FPS:
+        # Counted from now and not from the last plan: after a long time without one the next is still welcome.
+        if start_tick > now_tick + MAX_AHEAD_TICKS:
             raise InvalidInputError(
-                f"start_tick {start_tick} is too far ahead", field="start_tick", allowed=f"<= {now_tick + 600}"
+                f"start_tick {start_tick} is too far ahead",
+                field="start_tick",
+                allowed=f"<= {now_tick + MAX_AHEAD_TICKS}",
             )
         if missing > 0:
             kept = np.concatenate([kept, np.repeat(kept[-1:], missing, axis=0)])

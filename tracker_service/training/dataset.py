@@ -10,11 +10,15 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from shared.errors import InvalidInputError
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.simulation.kinematics import BodyKinematics, qvel_from_qpos
 from tracker_service.simulation.reference import TICK_HZ, central_velocity, reference_ticks
 
 F32 = npt.NDArray[np.float32]
+PLAN = "plan"
+"""Behaviour of recorded plans."""
+PIECE_TICKS, PIECE_OVERLAP_TICKS = 180, 60
 PREPARATION = "4"
 """Changes whenever prepared arrays would come out differently; part of the cache's key."""
 
@@ -53,6 +57,47 @@ class ReferenceSet:
 
     def __len__(self) -> int:
         return len(self.start)
+
+
+def load_bank(folder: Path) -> list[MotionInput]:
+    """Pieces of a bank made by `motionloop data bank`, behaviour `plan`, all of one weight.
+
+    They are cut to a few seconds, overlapping, so that failing is noted, and practised, where it happens.
+
+    Raises:
+        InvalidInputError: no piece in the folder.
+    """
+    motions = []
+    for path in sorted(folder.glob("*.npz")):
+        with np.load(path, allow_pickle=False) as data:
+            whole = data["positions_w_m"]
+        for begin in range(0, max(len(whole) - PIECE_TICKS // 2, 1), PIECE_TICKS - PIECE_OVERLAP_TICKS):
+            cut = whole[begin : begin + PIECE_TICKS]
+            motions.append(MotionInput(f"{path.stem}@{begin}", PLAN, 1.0, cut))
+    if not motions:
+        raise InvalidInputError(f"no pieces in {folder}", field="bank", allowed="a folder of `motionloop data bank`")
+    return motions
+
+
+def concatenated(first: ReferenceSet, second: ReferenceSet, second_share: float) -> ReferenceSet:
+    """Both sets as one; the second gets `second_share` of the sampling weight, its clips by their length."""
+    a = first.weight / first.weight.sum() * (1.0 - second_share)
+    b = second.length / second.length.sum() * second_share
+    joined = {
+        field.name: np.concatenate([getattr(first, field.name), getattr(second, field.name)])
+        for field in fields(ReferenceSet)
+    }
+    return ReferenceSet(
+        **{**joined, "weight": np.concatenate([a, b]), "start": np.append(first.start, second.start + len(first.qpos))}
+    )
+
+
+def largest_change_rad(references: ReferenceSet) -> npt.NDArray[np.float64]:
+    """(C,) the most that any hinge of each clip changes in one tick: above a radian the angles jump, not the body."""
+    change = np.zeros(len(references.qpos))
+    change[1:] = np.abs(np.diff(references.qpos[:, 7:], axis=0)).max(axis=1)
+    change[references.start] = 0.0
+    return np.maximum.reduceat(change, references.start)
 
 
 def prepare(

@@ -18,12 +18,12 @@ from tracker_service.training.network import Normalizer
 
 
 def export_weights(checkpoint: Path, out: Path, card: dict[str, Any]) -> Path:
-    """Write the actor and its normaliser; `card` adds facts for people (command, commit, metrics).
+    """Write the averaged actor and its normaliser; `card` adds facts for people (command, commit, metrics).
 
     Returns the path of the safetensors file; the card lies beside it as .json.
     """
     state = torch.load(checkpoint, weights_only=True)
-    actor = {k.removeprefix("actor."): v for k, v in state["network"].items() if k.startswith("actor.")}
+    actor = state["averaged"]
     numbers = sorted({int(k.split(".")[0]) for k in actor})
     normalizer = state["normalizer"]
     tensors = {

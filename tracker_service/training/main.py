@@ -17,12 +17,22 @@ from shared.console import errors_for_people
 from shared.data.corpus import Corpus
 from tracker_service.simulation.character_spec import HUMAN
 from tracker_service.simulation.humanoid import humanoid
-from tracker_service.training.dataset import MotionInput, ReferenceSet, prepare_cached
+from tracker_service.training.dataset import (
+    MotionInput,
+    ReferenceSet,
+    concatenated,
+    largest_change_rad,
+    load_bank,
+    prepare_cached,
+)
 from tracker_service.training.env import EnvSettings
 from tracker_service.training.ppo import PpoSettings
 from tracker_service.training.trainer import Trainer
 
 LEAST_TICKS = 30
+HELDOUT_PIECE = 12
+LARGEST_CHANGE_RAD = 1.0
+"""Arms circled backward and deep squats pass a pole of the shoulder's or hip's three hinges, where the angles jump."""
 
 
 def motions(corpus: Corpus, split: str, mirrored: bool = True) -> list[MotionInput]:
@@ -46,7 +56,8 @@ def references(corpus_dir: Path, split: str, cache: Path, say: Callable[[str], N
 
 def train(
     corpus: Path, out: Path, until_samples: int = 50_000_000, threads: int = 1, envs: int = 320, seed: int = 0,
-    init: Path | None = None, focus: dict[str, float] | None = None, say: Callable[[str], None] = print,
+    init: Path | None = None, focus: dict[str, float] | None = None, bank: Path | None = None,
+    bank_share: float = 0.5, kl_target: float | None = None, say: Callable[[str], None] = print,
 ) -> None:  # fmt: skip
     """Train until `until_samples` or SIGTERM/SIGINT, resuming from `out`/checkpoint.pt when there is one.
 
@@ -54,6 +65,9 @@ def train(
         corpus: folder made by `motionloop data build`.
         threads: of physics and of torch together, at different times.
         focus: factors on the sampling weight of behaviours, for those that matter most now.
+        bank: folder of recorded plans to train on as well, with `bank_share` of the sampling; every twelfth piece is
+            held out and judged as behaviour `plan`.
+        kl_target: how far an update may go; None for the default. Less makes the weights less noisy in the end.
         init: checkpoint to start from where `out` has none (weights and normaliser only).
     """
     torch.set_num_threads(threads)
@@ -61,8 +75,16 @@ def train(
     cache = out / "cache"
     train_set = references(corpus, "train", cache, say)
     heldout_set = references(corpus, "heldout", cache, say)
+    jumping = largest_change_rad(train_set) > LARGEST_CHANGE_RAD
+    say(f"{int(jumping.sum())} clips left out: a hinge jumps by more than {LARGEST_CHANGE_RAD:g} rad in a tick")
+    train_set = replace(train_set, weight=train_set.weight * ~jumping)
     factors = np.array([(focus or {}).get(str(name), 1.0) for name in train_set.behaviours])
     train_set = replace(train_set, weight=train_set.weight * factors)
+    if bank is not None:
+        pieces = load_bank(bank)
+        kept, heldout = ([p for i, p in enumerate(pieces) if (i % HELDOUT_PIECE == 0) is out] for out in (False, True))
+        train_set = concatenated(train_set, prepare_cached(human, kept, cache), bank_share)
+        heldout_set = concatenated(heldout_set, prepare_cached(human, heldout, cache), 0.5)
     say(f"{len(train_set)} clips, {len(train_set.qpos) / 1800:.1f} min to train on; {len(heldout_set)} held out")
     stop = False
 
@@ -72,7 +94,8 @@ def train(
 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, ask_to_stop)
-    trainer = Trainer(human, train_set, heldout_set, out, EnvSettings(envs=envs, threads=threads), PpoSettings(), seed)
+    ppo = PpoSettings() if kl_target is None else PpoSettings(kl_target=kl_target)
+    trainer = Trainer(human, train_set, heldout_set, out, EnvSettings(envs=envs, threads=threads), ppo, seed)
     checkpoint = out / "checkpoint.pt"
     if checkpoint.exists():
         trainer.load(checkpoint)
@@ -98,6 +121,9 @@ def main(
     seed: int = 0,
     init: Annotated[Path | None, typer.Option(help="checkpoint to start from")] = None,
     focus: Annotated[str, typer.Option(help="sampling factors, e.g. walk=2,dance=0.5")] = "",
+    bank: Annotated[Path | None, typer.Option(help="folder of plans made by `motionloop data bank`")] = None,
+    bank_share: Annotated[float, typer.Option(min=0.01, max=0.99, help="of the sampling")] = 0.5,
+    kl_target: Annotated[float | None, typer.Option(min=1e-4, help="size of an update")] = None,
 ) -> None:
     """Train the tracker with PPO; stops cleanly on SIGTERM and resumes where it stopped."""
 
@@ -105,7 +131,7 @@ def main(
         typer.echo(line)
 
     factors = {name: float(value) for name, value in (part.split("=") for part in focus.split(",") if part)}
-    train(corpus, out, until_samples, threads, envs, seed, init, factors, say)
+    train(corpus, out, until_samples, threads, envs, seed, init, factors, bank, bank_share, kl_target, say)
 
 
 if __name__ == "__main__":

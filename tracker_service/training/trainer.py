@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from tracker_service.training.ppo import PpoSettings, PpoUpdater, to_numpy
 from tracker_service.training.storage import Rollout, n_tick_worth
 
 F32 = npt.NDArray[np.float32]
+AVERAGED_ITERATIONS = 100
 
 
 class Trainer:
@@ -46,6 +48,7 @@ class Trainer:
         size = self.env.observation_size
         self.network = ActorCritic(size, self.env.hinges)
         self.normalizer = Normalizer(size)
+        self.averaged = deepcopy(self.network.actor)
         self.updater = PpoUpdater(self.network, ppo_settings)
         self.rng = np.random.default_rng(seed + 1)
         self.samples = 0
@@ -85,6 +88,7 @@ class Trainer:
         # The policy of a rollout sees one normaliser throughout; it learns from the rollout afterwards.
         self.normalizer.update(rollout.observations.reshape(-1, rollout.observations.shape[-1]))
         self.iteration += 1
+        self._average()
         facts["collect_s"] = collected - started
         facts["update_s"] = time.monotonic() - collected
         return facts
@@ -161,13 +165,25 @@ class Trainer:
         return worth
 
     @torch.no_grad()
+    def _average(self) -> None:
+        """Polyak averaging: each update carries noise that the mean of the last hundred does not."""
+        share = 1.0 / min(self.iteration, AVERAGED_ITERATIONS)
+        for mean, now in zip(self.averaged.parameters(), self.network.actor.parameters(), strict=True):
+            mean.lerp_(now, share)
+
+    @torch.no_grad()
+    def act_averaged(self, observation: F32) -> F32:
+        """The averaged policy without exploration: the one that is judged and shipped."""
+        return to_numpy(self.averaged(self.normalizer(torch.from_numpy(observation))))
+
+    @torch.no_grad()
     def act(self, observation: F32) -> F32:
         """The policy without exploration."""
         return to_numpy(self.network.actor(self.normalizer(torch.from_numpy(observation))))
 
     def judge(self) -> dict[str, Any]:
-        """Held-out clips with the policy as it is; without the list of clips."""
-        result = evaluate(self.env.settings, self.heldout, self.human, self.act)
+        """Held-out clips with the averaged policy; without the list of clips."""
+        result = evaluate(self.env.settings, self.heldout, self.human, self.act_averaged)
         del result["per_clip"]
         return result
 
@@ -190,6 +206,7 @@ class Trainer:
         env = self.env
         state = {
             "network": self.network.state_dict(),
+            "averaged": self.averaged.state_dict(),
             "normalizer": self.normalizer.state_dict(),
             "optimizer": self.updater.optimizer.state_dict(),
             "learning_rate": self.updater.learning_rate,
@@ -210,6 +227,7 @@ class Trainer:
         """Go on from a checkpoint. With `weights_only` (a new corpus or environment) only what was learnt is taken."""
         state = torch.load(path, weights_only=True)
         self.network.load_state_dict(state["network"])
+        self.averaged.load_state_dict(state.get("averaged") or self.network.actor.state_dict())
         self.normalizer.load_state_dict(state["normalizer"])
         self.samples, self.iteration, self.seconds = state["counters"]
         env = self.env

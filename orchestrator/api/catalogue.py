@@ -1,0 +1,86 @@
+"""/v1/tasks, /v1/scenes and /v1/skeleton: what there is to choose from and how a body is built."""
+
+from __future__ import annotations
+
+from typing import Any, get_args
+
+from fastapi import APIRouter
+from pydantic import BaseModel
+
+from orchestrator.api.problems import RESPONSES
+from orchestrator.core.command import JOINTS
+from shared.motion.skeleton import CANONICAL
+from shared.protocol.messages import TICK_HZ
+from shared.scenes.schema import Scene, load_scene, scene_names
+from shared.tasks.specs import TaskSpec
+
+router = APIRouter(prefix="/v1", tags=["catalogue"], responses=RESPONSES)
+
+
+class TaskKind(BaseModel):
+    """A task that episodes may hold: its type, what it does, and the JSON Schema of its fields."""
+
+    type: str
+    description: str
+    parameters: dict[str, Any]
+
+
+class TaskList(BaseModel):
+    """All tasks."""
+
+    items: list[TaskKind]
+
+
+class SceneList(BaseModel):
+    """All scenes."""
+
+    items: list[Scene]
+
+
+class SkeletonBody(BaseModel):
+    """Joints by name, in the order of every array of joints; offsets in the T-pose facing +X, metres."""
+
+    id: str
+    joints: list[str]
+    parents: list[int]
+    offsets_m: list[tuple[float, float, float]]
+    rest_positions_m: list[tuple[float, float, float]]
+    height_m: float
+    tick_hz: int = TICK_HZ
+    target_joints: list[str]
+
+
+def task_models() -> tuple[type[BaseModel], ...]:
+    """The spec classes that `TaskSpec` tells apart."""
+    return tuple(get_args(get_args(TaskSpec)[0]))
+
+
+@router.get("/tasks")
+async def tasks() -> TaskList:
+    """The tasks there are, for `POST /v1/episodes`."""
+    items = []
+    for model in task_models():
+        schema = model.model_json_schema()
+        described = str(schema.get("description", "")).split("\n\n", 1)[0].replace("`", "")
+        items.append(TaskKind(type=str(model.model_fields["type"].default), description=described, parameters=schema))
+    return TaskList(items=items)
+
+
+@router.get("/scenes")
+async def scenes() -> SceneList:
+    """The scenes there are, with their objects and marks."""
+    return SceneList(items=[load_scene(name) for name in scene_names()])
+
+
+@router.get("/skeleton")
+async def skeleton() -> SkeletonBody:
+    """The skeleton of every character, and the joints that a target may name."""
+    return SkeletonBody(
+        id=CANONICAL.id,
+        joints=list(CANONICAL.names),
+        parents=list(CANONICAL.parents),
+        offsets_m=[(float(x), float(y), float(z)) for x, y, z in CANONICAL.offsets_m],
+        rest_positions_m=[(float(x), float(y), float(z)) for x, y, z in CANONICAL.rest_positions_m],
+        height_m=CANONICAL.height_m,
+        target_joints=list(JOINTS),
+    )

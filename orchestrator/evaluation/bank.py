@@ -1,0 +1,154 @@
+"""A bank of recorded closed-loop plans: what the tracker was really asked to follow (DESIGN 9).
+
+Trackers trained on recorded motion alone have never seen a planner's plans, nor the junctions where a plan begins at
+what the body had just done. Characters are driven here with ever new texts and points; the references that the
+tracker's log holds are kept in pieces, each until the body was lost or the character reset.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from orchestrator.core.command import Command, CommandGoal
+from orchestrator.core.drivers import LockstepDriver
+from orchestrator.core.episode import task_seed
+from orchestrator.core.loop import CharacterLoop, GoalSource
+from orchestrator.core.services import Services
+from orchestrator.core.settings import LOCKSTEP, LoopSettings
+from orchestrator.evaluation.text import COMMANDS
+from shared.protocol.messages import TICK_HZ, CloseCharacter, CreateCharacter, Ok, StateFrame
+from shared.tasks.builtin import ReachTask
+from shared.tasks.interface import BodyView
+from shared.tasks.specs import ReachSpec
+
+Array = npt.NDArray[np.float32]
+
+SEGMENT_S = (1.5, 5.0)
+REACH_SHARE = 0.3
+REACH_TEXTS = ("a person is walking.", "a person walks forward.", "a person is jogging.")
+REACH_TEXT_SHARES = (0.6, 0.3, 0.1)
+LEADS_TICKS = (0, 12)
+"""Plans that start now (lockstep) and plans that are joined ahead of need (realtime) make different junctions."""
+LOST_M = 0.3
+LEAST_TICKS = 45
+RESET_S = 1.0
+
+
+def pieces(reference_w_m: Array, error_m: Array, fallen: npt.NDArray[np.bool_]) -> list[Array]:
+    """Stretches (T, 22, 3) of a reference (N, 22, 3) during which the body was with it, of at least 1.5 s.
+
+    Args:
+        error_m: (N,) mean joint distance of the body to its reference. fallen: (N,).
+    """
+    good = (error_m < LOST_M) & ~fallen
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(np.int8)))
+    return [
+        reference_w_m[start:stop]
+        for start, stop in zip(edges[::2], edges[1::2], strict=True)
+        if stop - start >= LEAST_TICKS
+    ]
+
+
+async def record_bank(
+    services: Services,
+    out: Path,
+    minutes: float,
+    seed: int,
+    parallel: int = 8,
+    planner: str | None = None,
+    tracker: str | None = None,
+    progress: Callable[[int, int, dict[str, Any]], None] | None = None,
+) -> dict[str, Any]:
+    """Record `minutes` of simulated time into `out`, one .npz a stretch between resets.
+
+    Each file holds `positions_w_m` (T, 22, 3) at 30 Hz. Files of an earlier run with other seeds are left alone.
+
+    Returns:
+        {pieces, minutes, falls, segments}.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    ticks_each = round(minutes * 60 * TICK_HZ / parallel)
+    total = {"pieces": 0, "ticks": 0, "falls": 0, "segments": 0}
+
+    def keep(stream: int, found: list[Array], fell: bool, segments: int) -> None:
+        for piece in found:
+            name = f"{tracker or services.tracker.plugin_name}_{seed}_{stream}_{total['pieces']:05d}.npz"
+            np.savez_compressed(out / name, positions_w_m=piece)
+            total["pieces"] += 1
+            total["ticks"] += len(piece)
+        total["falls"] += int(fell)
+        total["segments"] += segments
+        if progress is not None:
+            progress(min(total["ticks"], ticks_each * parallel), ticks_each * parallel, {"strict": not fell})
+
+    async with asyncio.TaskGroup() as group:
+        for stream in range(parallel):
+            settings = replace_lead(LOCKSTEP, LEADS_TICKS[stream % len(LEADS_TICKS)])
+            group.create_task(
+                _stream(services, stream, task_seed(seed, stream), ticks_each, settings, planner, tracker, keep)
+            )
+    return {
+        "pieces": total["pieces"],
+        "minutes": round(total["ticks"] / TICK_HZ / 60, 2),
+        "falls": total["falls"],
+        "segments": total["segments"],
+    }
+
+
+def replace_lead(settings: LoopSettings, lead_ticks: int) -> LoopSettings:
+    """The same settings with another lead of plans."""
+    return settings.model_copy(update={"plan_lead_ticks": lead_ticks})
+
+
+def choose_goal(rng: np.random.Generator, state: StateFrame) -> GoalSource:
+    """A random text, or a walk to a random point, with its own seed."""
+    if rng.random() < REACH_SHARE:
+        text = str(
+            rng.choice(["a person is walking.", "a person walks forward.", "a person is jogging."], p=[0.6, 0.3, 0.1])
+        )
+        task = ReachTask(ReachSpec(text=text), int(rng.integers(1 << 31)))
+        task.start(BodyView(state.tick, np.asarray(state.body_pos_w_m, dtype=np.float64), state.fallen))
+        return task.goal
+    kind = str(rng.choice(list(COMMANDS)))
+    return CommandGoal(Command(text=str(rng.choice(COMMANDS[kind]))), state.tick)
+
+
+async def _stream(
+    services: Services, stream: int, seed: int, ticks: int, settings: LoopSettings, planner: str | None,
+    tracker: str | None, keep: Callable[[int, list[Array], bool, int], None],
+) -> None:  # fmt: skip
+    rng = np.random.default_rng(seed)
+    loop = CharacterLoop(str(uuid.uuid4()), services, settings, seed, planner)
+    heading = float(rng.uniform(-np.pi, np.pi))
+    create = CreateCharacter(tracker=tracker or services.tracker.plugin, seed=seed, heading_rad=heading)
+    state = await loop.ask_tracker(StateFrame, create)
+    driver = LockstepDriver(loop, state)
+    goal: GoalSource = CommandGoal(Command(text="a person is standing still."), state.tick)
+    since, until, segments = state.tick, state.tick + TICK_HZ, 0
+    while state.tick < ticks:
+        if state.tick >= until:
+            goal = choose_goal(rng, state)
+            until = state.tick + round(rng.uniform(*SEGMENT_S) * TICK_HZ)
+            segments += 1
+            driver.replan_now()
+        state = (await driver.cycle(goal)).state
+        if state.fallen or state.tick - since >= 30 * TICK_HZ or state.tick >= ticks:
+            log = await loop.ticks(since, state.tick, TICK_HZ, reference=True)
+            reference = np.asarray(log.reference_pos_w_m, dtype=np.float32)
+            found = pieces(reference, np.asarray(log.tracking_error_m), np.asarray(log.fallen, dtype=bool))
+            keep(stream, found, bool(state.fallen), segments)
+            segments = 0
+            if state.fallen:
+                state = await loop.reset()
+                goal = CommandGoal(Command(text="a person is standing still."), state.tick)
+                until = state.tick + round(RESET_S * TICK_HZ)
+                driver.replan_now()
+            since = state.tick
+    await loop.ask_tracker(Ok, CloseCharacter())

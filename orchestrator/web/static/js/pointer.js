@@ -1,0 +1,148 @@
+// What a mouse or finger does in the 3D view: targets, limbs, pushes. Everything else turns the camera.
+
+import * as THREE from "/web/vendor/three.module.js";
+
+const CLICK_PX = 6;
+const NS_PER_M = 110;
+const MOST_NS = 180;
+const LEAST_NS = 4;
+const FARTHEST_M = 25;
+
+/**
+ * Calls back with what was meant: floor(point), limb(joint), moveTarget(point), dropTarget(point),
+ * push(joint, impulse), pushing(newtonseconds or null).
+ */
+export class Pointer {
+  constructor(world, mannequin, marker, arrow, callbacks) {
+    Object.assign(this, { world, mannequin, marker, arrow, callbacks });
+    this.enabled = true;
+    this.raycaster = new THREE.Raycaster();
+    this.plane = new THREE.Plane();
+    this.drag = null;
+    const { canvas } = world;
+    canvas.addEventListener("pointerdown", (event) => this.down(event), { capture: true });
+    canvas.addEventListener("pointermove", (event) => this.move(event));
+    canvas.addEventListener("pointerup", (event) => this.up(event));
+    canvas.addEventListener("pointercancel", () => this.cancel());
+    window.addEventListener("keydown", (event) => {
+      if (event.key === "Escape") this.cancel();
+    });
+  }
+
+  down(event) {
+    if (!event.isPrimary || event.button !== 0) {
+      this.cancel();
+      return;
+    }
+    this.drag = { kind: "view", x: event.clientX, y: event.clientY, moved: false };
+    if (!this.enabled) return;
+    this.aim(event);
+    const grabbed = this.marker.hit(this.raycaster);
+    const body = this.mannequin.under(this.raycaster);
+    if (grabbed !== null && (body === null || grabbed.distance < this.raycaster.ray.origin.distanceTo(body.point))) {
+      this.drag = { ...this.drag, kind: "target" };
+      this.facing(this.marker.position, this.marker.joint === "traj");
+    } else if (body !== null) {
+      this.drag = { ...this.drag, kind: "body", body, from: body.point.clone(), along: new THREE.Vector3() };
+      this.facing(body.point, false);
+    } else {
+      return;
+    }
+    this.world.controls.enabled = false;
+    this.world.canvas.setPointerCapture(event.pointerId);
+  }
+
+  move(event) {
+    const { drag } = this;
+    if (drag === null) {
+      this.hover(event);
+      return;
+    }
+    if (!event.isPrimary) return;
+    if (Math.hypot(event.clientX - drag.x, event.clientY - drag.y) > CLICK_PX) drag.moved = true;
+    if (!drag.moved || drag.kind === "view") return;
+    this.aim(event);
+    const point = this.raycaster.ray.intersectPlane(this.plane, new THREE.Vector3());
+    if (point === null) return;
+    if (drag.kind === "target") {
+      if (this.marker.joint !== "traj") point.z = Math.max(point.z, 0.02);
+      if (this.nearEnough(point)) {
+        drag.point = point;
+        this.callbacks.moveTarget(point);
+      }
+      return;
+    }
+    drag.along.copy(point).sub(drag.from);
+    drag.along.clampLength(0, MOST_NS / NS_PER_M);
+    this.arrow.show(drag.from, drag.along);
+    this.callbacks.pushing(drag.along.length() * NS_PER_M);
+  }
+
+  up(event) {
+    const { drag } = this;
+    if (drag === null || !event.isPrimary) return;
+    this.cancel();
+    if (!this.enabled) return;
+    if (drag.kind === "target") {
+      if (drag.moved && drag.point) this.callbacks.dropTarget(drag.point);
+    } else if (drag.kind === "body") {
+      const impulse = drag.along.clone().multiplyScalar(NS_PER_M);
+      if (drag.moved && impulse.length() >= LEAST_NS) this.callbacks.push(drag.body.joint, impulse);
+      else if (!drag.moved && drag.body.limb !== null) this.callbacks.limb(drag.body.limb);
+    } else if (!drag.moved) {
+      this.aim(event);
+      const point = this.floorPoint();
+      if (point !== null && this.nearEnough(point)) this.callbacks.floor(point);
+    }
+  }
+
+  cancel() {
+    this.drag = null;
+    this.world.controls.enabled = true;
+    this.arrow.hide();
+    this.callbacks.pushing(null);
+  }
+
+  hover(event) {
+    if (event.pointerType === "touch") return;
+    this.aim(event);
+    const over = this.enabled
+      ? this.mannequin.under(this.raycaster) !== null || this.marker.hit(this.raycaster) !== null
+      : false;
+    this.world.canvas.classList.toggle("over-body", over);
+    this.world.canvas.classList.toggle("over-floor", this.enabled && !over && this.floorPoint() !== null);
+  }
+
+  aim(event) {
+    const box = this.world.canvas.getBoundingClientRect();
+    const x = ((event.clientX - box.left) / box.width) * 2 - 1;
+    const y = 1 - ((event.clientY - box.top) / box.height) * 2;
+    this.raycaster.setFromCamera(new THREE.Vector2(x, y), this.world.camera);
+  }
+
+  /** Set the plane of a drag: the floor, or upright through a point and facing the camera. */
+  facing(point, floor) {
+    if (floor) {
+      this.plane.set(new THREE.Vector3(0, 0, 1), 0);
+      return;
+    }
+    const normal = this.world.camera.getWorldDirection(new THREE.Vector3()).negate();
+    this.plane.setFromNormalAndCoplanarPoint(normal, point);
+  }
+
+  floorPoint() {
+    const floor = new THREE.Plane(new THREE.Vector3(0, 0, 1), 0);
+    return this.raycaster.ray.intersectPlane(floor, new THREE.Vector3());
+  }
+
+  nearEnough(point) {
+    return point.distanceTo(this.world.controls.target) < FARTHEST_M;
+  }
+}
+
+/** Where a point of the world is on the page, in pixels (for tests and labels). */
+export function onScreen(world, position) {
+  const point = new THREE.Vector3(...position).project(world.camera);
+  const box = world.canvas.getBoundingClientRect();
+  return { x: box.left + ((point.x + 1) / 2) * box.width, y: box.top + ((1 - point.y) / 2) * box.height };
+}

@@ -1,0 +1,53 @@
+"""The bank of recorded plans, made over the real services."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import numpy as np
+
+from orchestrator.core.services import Services, connect
+from orchestrator.core.supervise import Stack
+from orchestrator.evaluation.bank import LEAST_TICKS, pieces, record_bank
+from shared.motion.ik import standing_clip
+from tests.orchestrator.support import light
+
+
+def test_pieces_end_where_the_body_was_lost_or_fell() -> None:
+    reference = np.arange(200, dtype=np.float32)[:, None, None] * np.ones((200, 22, 3), np.float32)
+    error = np.zeros(200, np.float32)
+    fallen = np.zeros(200, dtype=bool)
+    error[60] = 1.0
+    fallen[100:110] = True
+    found = pieces(reference, error, fallen)
+    # 0..59 is long enough, 61..99 (39 ticks) is not, 110..199 is.
+    assert [(int(p[0, 0, 0]), len(p)) for p in found] == [(0, 60), (110, 90)]
+    assert LEAST_TICKS == 45
+
+
+def test_a_bank_holds_the_references_of_the_loop(tmp_path: Path) -> None:
+    stack = Stack(light(tmp_path), lambda line: None)
+
+    async def run() -> dict[str, object]:
+        planner, tracker = stack.start_services()[:2]
+        services = Services(await connect(planner, "planner", "stand"), await connect(tracker, "tracker", "kinematic"))
+        try:
+            return await record_bank(services, tmp_path / "bank", minutes=0.4, seed=3, parallel=2)
+        finally:
+            await services.close()
+
+    try:
+        result = asyncio.run(run())
+    finally:
+        stack.stop()
+    files = sorted((tmp_path / "bank").glob("*.npz"))
+    assert len(files) == result["pieces"] == 2
+    height_m = float(standing_clip(1, 30).positions_w_m[0, :, 2].max())
+    for path in files:
+        with np.load(path) as data:
+            positions = data["positions_w_m"]
+        assert positions.shape[1:] == (22, 3)
+        assert len(positions) >= 350
+        # The planner stands and the tracker moves without physics: the reference stands all the time, on soft knees.
+        assert np.abs(positions[..., 2].max(axis=1) - height_m).max() < 0.03
