@@ -30,6 +30,7 @@ from shared.protocol.messages import (
     StateFrame,
     Vec3,
 )
+from shared.tasks.interface import BodyView, PlanGoal
 
 Status = Literal["running", "paused", "degraded", "failed", "closed"]
 
@@ -93,6 +94,10 @@ class CharacterSession:
             self._runner = asyncio.create_task(self._run(self._driver), name=f"character-{self.character_id}")
         self.events.emit("created", self._state.tick, scene=self.spec.scene, pacing=self.spec.pacing)
         return self._state
+
+    def _goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
+        """What the newest command asks for: it may have come while a cycle was already under way."""
+        return self._source(view, plan_tick)
 
     def set_command(self, command: Command) -> int:
         """Take a new command; returns the tick at which it was given. Raises for a target out of reach."""
@@ -192,7 +197,7 @@ class CharacterSession:
 
     async def _cycle(self, driver: Driver, max_ticks: int | None) -> None:
         try:
-            cycle = await driver.cycle(self._source, max_ticks)
+            cycle = await driver.cycle(self._goal, max_ticks)
         except (TransportError, NotFoundError) as error:
             self._fail(f"the tracker is gone: {error.message}")
             raise
