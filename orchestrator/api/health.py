@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from orchestrator.core.manager import Orchestrator
 from orchestrator.core.services import Slot
 from shared.errors import MotionLoopError
-from shared.protocol.messages import Health, HealthReport
+from shared.protocol.control import Health, HealthReport
 
 ASK_TIMEOUT_S = 2.0
 FRESH_S = 1.0

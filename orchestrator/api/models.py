@@ -11,7 +11,8 @@ from orchestrator.core.character import CharacterSession
 from orchestrator.core.command import Command
 from orchestrator.core.episode import EpisodeOutcome, EpisodeSpec
 from shared.motion.skeleton import CANONICAL
-from shared.protocol.messages import Name, StateFrame
+from shared.protocol.base import Name
+from shared.protocol.messages import StateFrame
 from shared.protocol.rest import CharacterFields, EpisodeFields, StateFields
 from shared.tasks.interface import heading_from_positions
 

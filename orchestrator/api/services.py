@@ -13,7 +13,7 @@ from orchestrator.api.metrics import registry_of
 from orchestrator.api.models import HealthBody, SwapBody
 from orchestrator.api.problems import RESPONSES, problem_response
 from shared.errors import MotionLoopError
-from shared.protocol.messages import Health, HealthReport
+from shared.protocol.control import Health, HealthReport
 from shared.protocol.rest import Problem, ServiceInfo, ServicesInfo
 
 router = APIRouter(prefix="/v1/services", tags=["services"], responses=RESPONSES)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import ipaddress
 from pathlib import Path
 from typing import Annotated, ClassVar
 
 from pydantic import Field, SecretStr, model_validator
 
+from shared.protocol.security import is_loopback
 from shared.settings import Settings, curve_dir_from_environment
 
 TOKEN_CHARS = 16
@@ -43,7 +43,7 @@ class OrchestratorSettings(Settings):
 
     @model_validator(mode="after")
     def _no_open_door(self) -> OrchestratorSettings:
-        if not _is_loopback(self.host) and self.token is None:
+        if not is_loopback(self.host) and self.token is None:
             raise ValueError(
                 f"host {self.host} can be reached from other machines: set MOTIONLOOP_TOKEN to a bearer token, "
                 "or listen on 127.0.0.1"
@@ -51,12 +51,3 @@ class OrchestratorSettings(Settings):
         if self.token is not None and len(self.token.get_secret_value()) < TOKEN_CHARS:
             raise ValueError(f"the token must have at least {TOKEN_CHARS} characters")
         return self
-
-
-def _is_loopback(host: str) -> bool:
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False

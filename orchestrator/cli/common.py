@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from orchestrator.client import Client
+from shared.console import in_words
 from shared.errors import MotionLoopError
 
 console = Console(stderr=True)
@@ -39,10 +40,8 @@ def for_people() -> Iterator[None]:
     try:
         yield
     except MotionLoopError as error:
-        where = f" in {error.field}" if error.field else ""
-        allowed = f"\n  allowed: {error.allowed}" if error.allowed else ""
         hint = f"\n  {HINTS[error.code]}" if error.code in HINTS else ""
-        line = escape(f"{error.code}{where}: {error.message}{allowed}{hint}")
+        line = escape(f"{in_words(error)}{hint}")
         console.print(f"[red]{line}[/red]", highlight=False, soft_wrap=True)
         raise typer.Exit(1) from error
 

@@ -18,18 +18,9 @@ from orchestrator.core.services import Services
 from orchestrator.core.settings import LOCKSTEP, REALTIME, LoopSettings
 from shared.errors import ConflictError, InvalidInputError, MotionLoopError, NotFoundError, TransportError
 from shared.motion.skeleton import CANONICAL
-from shared.protocol.messages import (
-    CloseCharacter,
-    CreateCharacter,
-    Impulse,
-    Name,
-    Ok,
-    Pacing,
-    Seed,
-    SetPacing,
-    StateFrame,
-    Vec3,
-)
+from shared.protocol.base import Name
+from shared.protocol.control import Ok
+from shared.protocol.messages import CloseCharacter, CreateCharacter, Impulse, Pacing, Seed, SetPacing, StateFrame, Vec3
 from shared.tasks.interface import BodyView, PlanGoal
 
 Status = Literal["running", "paused", "degraded", "failed", "closed"]

@@ -25,12 +25,13 @@ from orchestrator.core.machine import (
 from orchestrator.core.services import Services
 from orchestrator.core.settings import LOCKSTEP, REALTIME, LoopSettings
 from shared.errors import ConflictError, MotionLoopError, NotFoundError, TransportError
-from shared.protocol.messages import TICK_HZ, CreateCharacter, Name, Pacing, Seed, StateFrame
+from shared.protocol.base import Name
+from shared.protocol.messages import TICK_HZ, CreateCharacter, Pacing, Seed, StateFrame
 from shared.protocol.rest import TaskResult
 from shared.tasks.builtin import STAND_TEXT
 from shared.tasks.factory import make_task
 from shared.tasks.interface import BodyView, PlanGoal, Task, Trace, Verdict
-from shared.tasks.rules import SAFE_TICKS, leaning, lying
+from shared.tasks.rules import SAFE_TICKS, leaning, with_falls
 from shared.tasks.specs import TaskSpec, TimeLimit
 
 STOOD_UP_TICKS = 15
@@ -91,8 +92,8 @@ class _Running:
 
     def trace(self) -> Trace:
         """Everything since the task began; a body on the floor has fallen, unless the task may want it there."""
-        positions, fallen = np.concatenate(self.positions), np.concatenate(self.fallen)
-        return Trace(self.begin_tick + 1, positions, fallen | lying(positions) if self.task.upright else fallen)
+        trace = Trace(self.begin_tick + 1, np.concatenate(self.positions), np.concatenate(self.fallen))
+        return with_falls(trace) if self.task.upright else trace
 
     @property
     def leaning(self) -> bool:
@@ -219,7 +220,8 @@ class EpisodeRunner:
             self._reason = state.failure
             return Signal.PHYSICS_FAILED
         running = self._running
-        if performing and (state.fallen or (running is not None and bool(running.trace().fallen.any()))):
+        trace = running.trace() if performing and running is not None else None
+        if performing and (state.fallen or (trace is not None and bool(trace.fallen.any()))):
             return Signal.FELL
         if phase is Phase.DEGRADED:
             back = cycle.planner_error is None and bool(cycle.plans)
@@ -230,8 +232,8 @@ class EpisodeRunner:
         if performing and cycle.planner_error is not None:
             self.events.emit("planner_lost", state.tick, reason=cycle.planner_error)
             return Signal.PLANNER_LOST
-        if phase is Phase.ACTING and running is not None:
-            status = running.task.status(running.trace())
+        if phase is Phase.ACTING and running is not None and trace is not None:
+            status = running.task.status(trace)
             if status != "running":
                 return Signal.TASK_DONE if status == "done" else Signal.TASK_FAILED
         elapsed = state.tick - self._machine.entered_tick

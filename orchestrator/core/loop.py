@@ -15,14 +15,14 @@ from orchestrator.core.stitch import PREFIX_FRAMES, PlanBuffer, build_prefix, fr
 from shared.errors import MalformedMessageError, MotionLoopError
 from shared.motion.ik import clip_from_positions
 from shared.motion.skeleton import CANONICAL
+from shared.protocol.base import Message
+from shared.protocol.control import Ok
 from shared.protocol.messages import (
     PLANNER_FPS,
     TICK_HZ,
     CloseCharacter,
     GetTicks,
-    Message,
     Observe,
-    Ok,
     Plan,
     PlanRequest,
     ResetCharacter,

@@ -21,7 +21,8 @@ from orchestrator.core.swap import check_spec, swap
 from orchestrator.store.database import Store
 from orchestrator.store.recordings import RecordingFiles, write_atomically
 from shared.errors import ConflictError, InvalidInputError, MotionLoopError, NotFoundError, OverloadedError
-from shared.protocol.messages import CloseCharacter, Ok, Render, StateFrame, Video
+from shared.protocol.control import Ok
+from shared.protocol.messages import CloseCharacter, Render, StateFrame, Video
 from shared.protocol.rest import Event
 from shared.protocol.security import CurveKeys
 from shared.protocol.transport import Kind

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from shared.errors import MotionLoopError, UnavailableError
-from shared.protocol.messages import Health, HealthReport, Message, Welcome
+from shared.protocol.base import Message
+from shared.protocol.control import Health, HealthReport, Welcome
 from shared.protocol.security import CurveKeys
 from shared.protocol.transport import AsyncServiceClient, Kind
 

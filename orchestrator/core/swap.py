@@ -9,7 +9,7 @@ from orchestrator.core.services import Services, Slot, connect
 from shared.errors import IncompatiblePeerError, InvalidInputError
 from shared.motion.skeleton import CANONICAL
 from shared.plugins.conformance import check_planner_endpoint, check_tracker_endpoint, require
-from shared.protocol.messages import Health, HealthReport
+from shared.protocol.control import Health, HealthReport
 from shared.protocol.security import CurveKeys
 from shared.protocol.transport import Kind
 

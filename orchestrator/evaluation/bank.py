@@ -23,7 +23,8 @@ from orchestrator.core.loop import CharacterLoop, GoalSource
 from orchestrator.core.services import Services
 from orchestrator.core.settings import LOCKSTEP, LoopSettings
 from orchestrator.evaluation.text import COMMANDS
-from shared.protocol.messages import TICK_HZ, CloseCharacter, CreateCharacter, Ok, StateFrame
+from shared.protocol.control import Ok
+from shared.protocol.messages import TICK_HZ, CloseCharacter, CreateCharacter, StateFrame
 from shared.tasks.builtin import ReachTask
 from shared.tasks.interface import BodyView
 from shared.tasks.specs import ReachSpec
@@ -90,7 +91,7 @@ async def record_bank(
 
     async with asyncio.TaskGroup() as group:
         for stream in range(parallel):
-            settings = replace_lead(LOCKSTEP, LEADS_TICKS[stream % len(LEADS_TICKS)])
+            settings = LOCKSTEP.model_copy(update={"plan_lead_ticks": LEADS_TICKS[stream % len(LEADS_TICKS)]})
             group.create_task(
                 _stream(services, stream, task_seed(seed, stream), ticks_each, settings, planner, tracker, keep)
             )
@@ -100,11 +101,6 @@ async def record_bank(
         "falls": total["falls"],
         "segments": total["segments"],
     }
-
-
-def replace_lead(settings: LoopSettings, lead_ticks: int) -> LoopSettings:
-    """The same settings with another lead of plans."""
-    return settings.model_copy(update={"plan_lead_ticks": lead_ticks})
 
 
 def choose_goal(rng: np.random.Generator, state: StateFrame) -> GoalSource:

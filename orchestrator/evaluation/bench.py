@@ -18,13 +18,13 @@ from orchestrator.core.services import Services
 from orchestrator.evaluation.statistics import percentiles
 from shared.plugins.conformance import sample_request
 from shared.plugins.interfaces import PlannerSpec
+from shared.protocol.control import Ok
 from shared.protocol.messages import (
     TICK_HZ,
     CloseCharacter,
     CreateCharacter,
     GetTicks,
     Observe,
-    Ok,
     Plan,
     PlanRequest,
     StateFrame,

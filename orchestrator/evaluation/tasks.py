@@ -18,7 +18,8 @@ from orchestrator.core.services import Services
 from orchestrator.core.settings import VARIANTS
 from orchestrator.evaluation.statistics import wilson
 from shared.errors import InvalidInputError
-from shared.protocol.messages import CloseCharacter, Ok
+from shared.protocol.control import Ok
+from shared.protocol.messages import CloseCharacter
 from shared.tasks.factory import BUILT_IN
 
 Progress = Callable[[int, int, dict[str, Any]], None]

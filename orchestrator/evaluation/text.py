@@ -16,9 +16,11 @@ from orchestrator.core.loop import CharacterLoop
 from orchestrator.core.services import Services
 from orchestrator.core.settings import LOCKSTEP, LoopSettings
 from orchestrator.evaluation.statistics import wilson
-from shared.protocol.messages import TICK_HZ, CloseCharacter, CreateCharacter, Ok, StateFrame
+from shared.protocol.control import Ok
+from shared.protocol.messages import TICK_HZ, CloseCharacter, CreateCharacter, StateFrame
+from shared.tasks.interface import Trace, joined
 from shared.tasks.obey import kind_of, obeyed
-from shared.tasks.rules import lying
+from shared.tasks.rules import with_falls
 
 COMMANDS: dict[str, tuple[str, ...]] = {
     "walk": (
@@ -98,12 +100,13 @@ async def _stream(
         goal = CommandGoal(Command(text=text), begin)
         driver.replan_now()
         fell = False
-        done = await loop.trace(begin + 1, begin + 1)
+        seen: list[Trace] = []
         while state.tick < end and not fell:
             cycle = await driver.cycle(goal, end - state.tick)
             state = cycle.state
-            done = await loop.trace(begin + 1, state.tick + 1)
-            fell = bool(state.fallen) or bool((done.fallen | lying(done.pos_w_m)).any())
+            seen.append(cycle.trace)
+            done = with_falls(joined(seen))
+            fell = bool(state.fallen) or bool(done.fallen.any())
         outcome = obeyed(text, done)
         note(
             {

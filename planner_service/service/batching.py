@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from shared.errors import DeadlineError, MotionLoopError, UnavailableError
 from shared.plugins.checks import check_plan
 from shared.plugins.interfaces import Planner
-from shared.protocol.messages import Message, Plan, PlanRequest
+from shared.protocol.base import Message
+from shared.protocol.messages import Plan, PlanRequest
 
 log = logging.getLogger(__name__)
 

@@ -16,7 +16,9 @@ from shared.errors import InvalidInputError, UnavailableError
 from shared.plugins.checks import fit_request
 from shared.plugins.interfaces import Planner
 from shared.plugins.registry import PluginRegistry
-from shared.protocol.messages import Envelope, Health, HealthReport, Hello, Message, PlanRequest, Welcome
+from shared.protocol.base import Message
+from shared.protocol.control import Envelope, Health, HealthReport, Hello, Welcome
+from shared.protocol.messages import PlanRequest
 from shared.protocol.transport import ServiceServer
 
 PREFERRED = ("dip", "clip", "stand")

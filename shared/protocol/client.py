@@ -20,9 +20,10 @@ from shared.errors import (
     MotionLoopError,
     UnavailableError,
 )
+from shared.protocol.base import PROTOCOL_VERSION, Message
 from shared.protocol.codec import MAX_MESSAGE_BYTES, decode, encode, message_id_of
+from shared.protocol.control import Envelope, ErrorReply, Health, Hello, Welcome
 from shared.protocol.errors import error_from
-from shared.protocol.messages import PROTOCOL_VERSION, Envelope, ErrorReply, Health, Hello, Message, Welcome
 from shared.protocol.security import CurveKeys, closed_on_error, secure_client
 from shared.protocol.server import SKELETON_ID
 

@@ -26,8 +26,10 @@ from pydantic_core import from_json
 
 from shared.errors import IncompatiblePeerError, InvalidInputError, MalformedMessageError
 from shared.protocol.arrays import ArraySpec, array_specs
+from shared.protocol.base import PROTOCOL_VERSION, Message
+from shared.protocol.control import Envelope
 from shared.protocol.errors import invalid_input_from
-from shared.protocol.messages import MESSAGES, PROTOCOL_VERSION, Envelope, Message
+from shared.protocol.messages import MESSAGES
 
 MAGIC = b"MLP\x01"
 MAX_FRAMES = 32

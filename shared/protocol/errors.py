@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pydantic import ValidationError
 
 from shared.errors import InvalidInputError, MotionLoopError
-from shared.protocol.messages import ErrorReply
+from shared.protocol.control import ErrorReply
 
 _LIMITS = {
     "ge": ">=", "gt": ">", "le": "<=", "lt": "<", "min_length": "length >=", "max_length": "length <=",

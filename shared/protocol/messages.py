@@ -1,4 +1,4 @@
-"""Every message of the protocol (DESIGN 3), version 1.
+"""The messages of planner and tracker (DESIGN 3), version 1, and the table of all messages.
 
 Units are SI, frames are world (Z up), quaternions wxyz. `start_tick` of a plan is the tick (30 Hz) of the last prefix
 frame, divisible by 3; frame i of the plan is at start_tick / 30 + (i + 1) / fps seconds.
@@ -6,41 +6,27 @@ frame, divisible by 3; frame i of the plan is at start_tick / 30 + (i + 1) / fps
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 import numpy as np
-import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
-from shared.protocol.arrays import ArraySpec, check_letters
+from shared.protocol.arrays import ArraySpec
+from shared.protocol.base import Array, Message, Name
+from shared.protocol.control import ErrorReply, Health, HealthReport, Hello, Ok, Welcome
 
-PROTOCOL_VERSION: Final = 1
 TICK_HZ: Final = 30
 PLANNER_FPS: Final = 20
 PHYSICS_HZ: Final = 120
 MAX_TEXT_CHARS = 300
 
-Array = npt.NDArray[Any]
 Vec3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Tick = Annotated[int, Field(ge=0, le=2**40)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
-Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_.\-]+$")]
 Pacing = Literal["realtime", "lockstep"]
 
 Positions = Annotated[Array, ArraySpec("<f4", ("T", 22, 3), 4096)]
 Rotations = Annotated[Array, ArraySpec("<f4", ("T", 22, 6), 4096)]
-
-
-class Message(BaseModel):
-    """Base: immutable, no unknown fields, numpy arrays as declared."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True, ser_json_inf_nan="constants")
-    type: ClassVar[str] = "Message"
-
-    @model_validator(mode="after")
-    def _letters_agree(self) -> Message:
-        check_letters(self)
-        return self
 
 
 class JointTarget(BaseModel):
@@ -58,64 +44,6 @@ class HeadingTarget(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
     heading_rad: FiniteFloat
     arrival_tick: Tick
-
-
-# --- handshake and health -------------------------------------------------------------------------------------------
-
-
-class Hello(Message):
-    """First message on a connection: who connects and what it needs."""
-
-    type: ClassVar[str] = "Hello"
-    client: str = "motionloop"
-    protocol_version: int = PROTOCOL_VERSION
-    skeleton: str = "human22"
-    plugin: Name | None = None
-
-
-class Welcome(Message):
-    """Reply to Hello: service, plug-ins it offers with their specs (as JSON objects), the default one's name."""
-
-    type: ClassVar[str] = "Welcome"
-    service: Literal["planner", "tracker"]
-    version: str
-    protocol_version: int = PROTOCOL_VERSION
-    instance_id: str
-    default_plugin: Name
-    plugins: list[dict[str, object]]
-    state_endpoint: str | None = None
-
-
-class Health(Message):
-    """Ask how the service is."""
-
-    type: ClassVar[str] = "Health"
-
-
-class HealthReport(Message):
-    """Reply to Health."""
-
-    type: ClassVar[str] = "HealthReport"
-    status: Literal["ok", "degraded"]
-    uptime_s: float
-    detail: dict[str, float | int | str] = {}
-
-
-class ErrorReply(Message):
-    """Reply to any request that could not be carried out; nothing was changed."""
-
-    type: ClassVar[str] = "ErrorReply"
-    code: str
-    message: str
-    retryable: bool = False
-    field: str | None = None
-    allowed: str | None = None
-
-
-class Ok(Message):
-    """Reply to a request that has nothing to return."""
-
-    type: ClassVar[str] = "Ok"
 
 
 # --- planner --------------------------------------------------------------------------------------------------------
@@ -406,24 +334,3 @@ MESSAGES: dict[str, type[Message]] = {
         TickRange, Impulse, TakeSnapshot, Snapshot, Restore, Render, Video,
     )
 }  # fmt: skip
-
-
-class Envelope(BaseModel):
-    """Header common to all messages; travels as the JSON part together with the non-array fields of the body.
-
-    Attributes:
-        message_id: repeating it returns the first reply.
-        deadline_unix_s: the sender stops waiting then; an expired request is dropped, not computed.
-        sequence: per character, counts up.
-        instance_id: in a request, the life of the service that was shaken hands with; in a reply, the present one.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-    protocol_version: int = PROTOCOL_VERSION
-    type: str
-    message_id: Annotated[str, Field(min_length=8, max_length=64)]
-    character_id: Annotated[str, Field(max_length=64)] | None = None
-    sequence: int = 0
-    deadline_unix_s: float | None = None
-    trace_id: Annotated[str, Field(max_length=64)] | None = None
-    instance_id: Annotated[str, Field(max_length=64)] | None = None

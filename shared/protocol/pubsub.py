@@ -12,7 +12,8 @@ import zmq.asyncio
 
 from shared.errors import MotionLoopError
 from shared.protocol.codec import MAX_MESSAGE_BYTES, decode, encode
-from shared.protocol.messages import Envelope, StateFrame
+from shared.protocol.control import Envelope
+from shared.protocol.messages import StateFrame
 from shared.protocol.security import (
     CurveKeys,
     bound_endpoint,

@@ -12,7 +12,9 @@ from pathlib import Path
 from pydantic import BaseModel
 
 from shared.protocol.arrays import array_specs
-from shared.protocol.messages import MESSAGES, PROTOCOL_VERSION, Envelope
+from shared.protocol.base import PROTOCOL_VERSION
+from shared.protocol.control import Envelope
+from shared.protocol.messages import MESSAGES
 
 
 def schema_texts() -> dict[str, str]:

@@ -61,7 +61,11 @@ def is_local(endpoint: str) -> bool:
     scheme, _, rest = endpoint.partition("://")
     if scheme in ("inproc", "ipc"):
         return True
-    host = rest.rsplit(":", 1)[0].strip("[]")
+    return is_loopback(rest.rsplit(":", 1)[0].strip("[]"))
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host's name or address is this machine's own."""
     if host == "localhost":
         return True
     try:

@@ -25,9 +25,10 @@ from shared.errors import (
     MotionLoopError,
     OverloadedError,
 )
+from shared.protocol.base import PROTOCOL_VERSION, Message
 from shared.protocol.codec import MAX_FRAMES, MAX_MESSAGE_BYTES, decode, encode, message_id_of
+from shared.protocol.control import Envelope, Health, Hello, Welcome
 from shared.protocol.errors import error_reply, invalid_input_from
-from shared.protocol.messages import PROTOCOL_VERSION, Envelope, Health, Hello, Message, Welcome
 from shared.protocol.security import (
     CurveKeys,
     bound_endpoint,

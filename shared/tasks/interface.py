@@ -6,6 +6,7 @@ It never talks to a service, so the same task runs in episodes, in evaluation an
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -85,6 +86,15 @@ class Trace:
     def duration_s(self) -> float:
         """Time covered, T / 30."""
         return len(self) / TICK_HZ
+
+
+def joined(parts: Sequence[Trace]) -> Trace:
+    """Traces that follow one another as one; at least one of them."""
+    return Trace(
+        parts[0].start_tick,
+        np.concatenate([part.pos_w_m for part in parts]),
+        np.concatenate([part.fallen for part in parts]),
+    )
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,14 @@ goal is met and held, and the character has not fallen until one second after.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import TICK_HZ
-from shared.tasks.interface import heading_from_positions
+from shared.tasks.interface import Trace, heading_from_positions
 
 Array = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -75,10 +75,14 @@ def lying(pos_w_m: npt.ArrayLike) -> Bools:
     """
     p = np.asarray(pos_w_m, dtype=np.float64)
     down = (p[:, _HEAD, 2] < 0.5 * _STANDING_HEAD_M) | (p[:, _TRUNK, 2] < TRUNK_ON_FLOOR_M).any(axis=1)
-    run = np.zeros(len(p), dtype=np.int64)
-    for i, low in enumerate(down):
-        run[i] = (run[i - 1] if i else 0) + 1 if low else 0
-    return np.asarray(run >= DOWN_TICKS)
+    rows = np.arange(len(p))
+    up_last = np.maximum.accumulate(np.where(down, -1, rows))
+    return np.asarray(rows - up_last >= DOWN_TICKS)
+
+
+def with_falls(trace: Trace) -> Trace:
+    """The same trace, in which a body on the floor has fallen whatever its plan says (see `lying`)."""
+    return replace(trace, fallen=trace.fallen | lying(trace.pos_w_m))
 
 
 def leaning(pos_w_m: npt.ArrayLike) -> bool:

@@ -13,7 +13,7 @@ import psutil
 
 from orchestrator.client import Client
 from orchestrator.core.supervise import Stack
-from shared.protocol.messages import Health, HealthReport
+from shared.protocol.control import Health, HealthReport
 from shared.protocol.transport import ServiceClient
 from tests.orchestrator.support import light
 

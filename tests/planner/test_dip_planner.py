@@ -80,6 +80,19 @@ def test_text_and_guidance_count_and_no_text_is_the_free_branch(planner: DipPlan
     assert np.abs(planner.plan([request(guidance=7.5)])[0].positions_w_m - free).max() > 1e-4
 
 
+def test_unguided_steps_are_the_last_ones(weights: Path) -> None:
+    def plan(unguided: int, guidance: float) -> np.ndarray:
+        settings = DipSettings(bf16=False, unguided_steps=unguided)
+        own = DipPlanner(load_weights(weights), HashEncoder(), settings)
+        return own.plan([request(guidance=guidance)])[0].positions_w_m
+
+    plain = plan(0, 1.0)
+    np.testing.assert_allclose(plan(10, 5.0), plain, atol=1e-5)
+    partly = plan(4, 5.0)
+    assert np.abs(partly - plain).max() > 1e-5
+    assert np.abs(partly - plan(0, 5.0)).max() > 1e-5
+
+
 def test_targets_are_not_guided_away_from(planner: DipPlanner) -> None:
     target = JointTarget(joint="traj", position_w_m=(1.0, 0.0, 0.0), arrival_tick=90)
     default = planner.plan([request(targets=[target])])[0].positions_w_m

@@ -35,7 +35,8 @@ from shared.plugins.conformance import (
 )
 from shared.plugins.interfaces import Planner, PlannerSpec
 from shared.plugins.registry import PLANNERS, PluginRegistry
-from shared.protocol.messages import Health, HealthReport, JointTarget, Plan, PlanRequest
+from shared.protocol.control import Health, HealthReport
+from shared.protocol.messages import JointTarget, Plan, PlanRequest
 from shared.protocol.transport import AsyncServiceClient, ServiceClient
 from tests.planner_service.motion import write_library
 

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from shared.protocol import control as c
 from shared.protocol import messages as m
+from shared.protocol.base import Message
 from shared.protocol.codec import encode
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -28,14 +30,14 @@ def _frame() -> m.StateFrame:
     )  # fmt: skip
 
 
-SAMPLES: tuple[m.Message, ...] = (
-    m.Hello(client="test", plugin="stand"),
-    m.Welcome(service="planner", version="0.1.0", instance_id="0" * 32, default_plugin="stand",
+SAMPLES: tuple[Message, ...] = (
+    c.Hello(client="test", plugin="stand"),
+    c.Welcome(service="planner", version="0.1.0", instance_id="0" * 32, default_plugin="stand",
               plugins=[{"name": "stand", "skeleton": "human22"}]),
-    m.Health(),
-    m.HealthReport(status="ok", uptime_s=1.5, detail={"pending": 0, "default": "stand"}),
-    m.ErrorReply(code="invalid_input", message="unknown joint 'tail'", field="targets.0.joint", allowed="pelvis"),
-    m.Ok(),
+    c.Health(),
+    c.HealthReport(status="ok", uptime_s=1.5, detail={"pending": 0, "default": "stand"}),
+    c.ErrorReply(code="invalid_input", message="unknown joint 'tail'", field="targets.0.joint", allowed="pelvis"),
+    c.Ok(),
     m.PlanRequest(
         planner="stand", start_tick=30, prefix_positions_w_m=_ramp(2, 22, 3), prefix_rotations_6d=_ramp(2, 22, 6),
         prefix_velocities_w_mps=_ramp(2, 22, 3), context_frames=1, text="a person walks – slowly",
@@ -72,9 +74,9 @@ SAMPLES: tuple[m.Message, ...] = (
 )  # fmt: skip
 
 
-def sample_envelope(message: m.Message) -> m.Envelope:
+def sample_envelope(message: Message) -> c.Envelope:
     """The same envelope for every sample."""
-    return m.Envelope(
+    return c.Envelope(
         type=message.type, message_id="0123456789abcdef", character_id="walker", sequence=4,
         deadline_unix_s=1000.5, trace_id="trace", instance_id="f" * 32,
     )  # fmt: skip

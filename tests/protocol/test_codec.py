@@ -15,8 +15,10 @@ from hypothesis.extra import numpy as hnp
 
 from shared.errors import IncompatiblePeerError, InvalidInputError, MalformedMessageError, MotionLoopError
 from shared.protocol.arrays import array_specs
+from shared.protocol.base import Message
 from shared.protocol.codec import MAX_FRAMES, MAX_HEADER_BYTES, UNKNOWN_ID, decode, encode, message_id_of
-from shared.protocol.messages import MESSAGES, Envelope, Message, Plan, PlanRequest, Snapshot, Step, Track
+from shared.protocol.control import Envelope
+from shared.protocol.messages import MESSAGES, Plan, PlanRequest, Snapshot, Step, Track
 from shared.protocol.schemas import schema_texts
 from tests.protocol.samples import GOLDEN, SAMPLES, packed, sample_envelope, unpacked
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from shared.errors import InvalidInputError, UnavailableError
-from shared.protocol.messages import Health, HealthReport, Hello, Welcome
+from shared.protocol.control import Health, HealthReport, Hello, Welcome
 from shared.protocol.security import CurveKeys, check_bind, create_curve_keys, is_local, load_curve_keys
 from shared.protocol.transport import ServiceClient, ServiceServer
 from shared.settings import ServiceSettings, load_settings

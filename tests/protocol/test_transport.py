@@ -24,23 +24,10 @@ from shared.errors import (
     OverloadedError,
     UnavailableError,
 )
+from shared.protocol.base import Message
 from shared.protocol.codec import decode, encode
-from shared.protocol.messages import (
-    Envelope,
-    ErrorReply,
-    Health,
-    HealthReport,
-    Hello,
-    Impulse,
-    Message,
-    Observe,
-    Ok,
-    StateFrame,
-    Step,
-    Track,
-    TrackReply,
-    Welcome,
-)
+from shared.protocol.control import Envelope, ErrorReply, Health, HealthReport, Hello, Ok, Welcome
+from shared.protocol.messages import Impulse, Observe, StateFrame, Step, Track, TrackReply
 from shared.protocol.transport import (
     AsyncServiceClient,
     AsyncStateSubscriber,

@@ -15,14 +15,13 @@ import zmq
 from shared.errors import ConflictError, InvalidInputError, MotionLoopError, NotFoundError, OverloadedError
 from shared.motion.skeleton import CANONICAL
 from shared.plugins.interfaces import TrackerObservation, TrackerSpec
+from shared.protocol.base import Message
 from shared.protocol.codec import decode, encode
+from shared.protocol.control import Envelope, ErrorReply
 from shared.protocol.messages import (
     CreateCharacter,
-    Envelope,
-    ErrorReply,
     GetTicks,
     Impulse,
-    Message,
     Observe,
     Render,
     ResetCharacter,

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from shared.protocol.messages import CreateCharacter, Impulse, Ok, StateFrame, TickRange, TrackReply
+from shared.protocol.control import Ok
+from shared.protocol.messages import CreateCharacter, Impulse, StateFrame, TickRange, TrackReply
 from shared.protocol.transport import ServiceClient
 from tests.tracker_service.support import same, standing_plan, step, ticks, track
 from tracker_service.service.service import TrackerService

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from shared.protocol.control import Ok
 from shared.protocol.messages import (
     CloseCharacter,
     CreateCharacter,
-    Ok,
     ResetCharacter,
     SetPacing,
     StateFrame,

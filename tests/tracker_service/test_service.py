@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from shared.motion.skeleton import CANONICAL
+from shared.protocol.control import Health, HealthReport, Ok
 from shared.protocol.messages import (
     CloseCharacter,
     CreateCharacter,
-    Health,
-    HealthReport,
     Impulse,
     Observe,
-    Ok,
     ResetCharacter,
     Restore,
     SetScene,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import logging
 import threading
@@ -19,16 +18,8 @@ from shared.errors import ConflictError, InvalidInputError, SimulationError
 from shared.motion.rotations import matrix_from_quat
 from shared.motion.skeleton import Skeleton
 from shared.plugins.interfaces import Tracker
-from shared.protocol.messages import (
-    TICK_HZ,
-    GetTicks,
-    Pacing,
-    Snapshot,
-    StateFrame,
-    TickRange,
-    Track,
-    TrackReply,
-)
+from shared.protocol.messages import TICK_HZ, GetTicks, Pacing, Snapshot, StateFrame, TickRange, Track, TrackReply
+from tracker_service.service.log_tail import pack_tail, split_buffers
 from tracker_service.service.plan_check import check_plan, late_reason
 from tracker_service.service.settings import TrackerServiceSettings
 from tracker_service.simulation.character import SimulatedCharacter
@@ -288,7 +279,7 @@ class HostedCharacter:
             meta, state, buffers = self._simulation.snapshot()
             last = self.tick * SAMPLES_A_TICK
             first = max(self._recorder.first_sample, last + 1 - TAIL_SAMPLES)
-            tail = _pack(self._recorder.read(first, last + 1))
+            tail = pack_tail(self._recorder.read(first, last + 1))
             about = {"pacing": self.clock.pacing, "seed": self.seed, "first_sample": first}
             about["tail_bytes"] = len(tail)
             return Snapshot(
@@ -303,7 +294,7 @@ class HostedCharacter:
         """
         with self._lock:
             self._check_open()
-            tail, rest = _split_buffers(meta, buffers)
+            tail, rest = split_buffers(meta, buffers)
             backup = self._simulation.snapshot()
             try:
                 self._simulation.restore(meta, np.asarray(state), rest)
@@ -400,23 +391,3 @@ class HostedCharacter:
 
 def _file_name(character_id: str) -> str:
     return "".join(c if c.isalnum() or c in "-_" else "_" for c in character_id) or "character"
-
-
-def _pack(samples: Samples) -> npt.NDArray[np.uint8]:
-    out = io.BytesIO()
-    np.savez(out, **samples)  # type: ignore[arg-type]
-    return np.frombuffer(out.getvalue(), dtype=np.uint8)
-
-
-def _split_buffers(meta: Mapping[str, Any], buffers: npt.NDArray[np.uint8]) -> tuple[Samples, npt.NDArray[np.uint8]]:
-    """The tail of the log and the simulation's own part; raises InvalidInputError for a damaged snapshot."""
-    try:
-        size = int(meta["tail_bytes"])
-        int(meta["first_sample"]), int(meta["seed"])
-        with np.load(io.BytesIO(buffers[:size].tobytes()), allow_pickle=False) as data:
-            tail: Samples = {name: data[name] for name in data.files}
-        if "fallen" not in tail:
-            raise ValueError("the log is missing")
-    except (KeyError, ValueError, TypeError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise InvalidInputError(f"the snapshot is damaged: {error}", field="buffers") from error
-    return tail, buffers[size:]

@@ -16,19 +16,15 @@ import zmq
 
 from shared.errors import ConflictError, InvalidInputError, MotionLoopError, NotFoundError, OverloadedError
 from shared.plugins.interfaces import Tracker
+from shared.protocol.base import Message
+from shared.protocol.control import Envelope, Health, HealthReport, Hello, Ok, Welcome
 from shared.protocol.messages import (
     TICK_HZ,
     CloseCharacter,
     CreateCharacter,
-    Envelope,
     GetTicks,
-    Health,
-    HealthReport,
-    Hello,
     Impulse,
-    Message,
     Observe,
-    Ok,
     Pacing,
     Render,
     ResetCharacter,
@@ -44,7 +40,6 @@ from shared.protocol.messages import (
     Track,
     TrackReply,
     Video,
-    Welcome,
 )
 from shared.protocol.transport import ServiceServer, StatePublisher
 from tracker_service.policy.ppo import WEIGHTS

@@ -1,0 +1,35 @@
+"""The last seconds of a character's log inside a snapshot: in front of the simulation's own bytes."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.errors import InvalidInputError
+from tracker_service.simulation.recorder import Samples
+
+
+def pack_tail(samples: Samples) -> npt.NDArray[np.uint8]:
+    """The samples as bytes."""
+    out = io.BytesIO()
+    np.savez(out, **samples)  # type: ignore[arg-type]
+    return np.frombuffer(out.getvalue(), dtype=np.uint8)
+
+
+def split_buffers(meta: Mapping[str, Any], buffers: npt.NDArray[np.uint8]) -> tuple[Samples, npt.NDArray[np.uint8]]:
+    """The tail of the log and the simulation's own part; raises InvalidInputError for a damaged snapshot."""
+    try:
+        size = int(meta["tail_bytes"])
+        int(meta["first_sample"]), int(meta["seed"])
+        with np.load(io.BytesIO(buffers[:size].tobytes()), allow_pickle=False) as data:
+            tail: Samples = {name: data[name] for name in data.files}
+        if "fallen" not in tail:
+            raise ValueError("the log is missing")
+    except (KeyError, ValueError, TypeError, OSError, EOFError, zipfile.BadZipFile) as error:
+        raise InvalidInputError(f"the snapshot is damaged: {error}", field="buffers") from error
+    return tail, buffers[size:]
