@@ -121,7 +121,7 @@ class CharacterSession:
                 raise ConflictError(
                     "a realtime character is stepped while it is paused", field="pacing", allowed="lockstep, or paused"
                 )
-            start = await self.loop.ask_tracker(StateFrame, SetPacing(pacing="lockstep"))
+            start = await self.loop.ask_tracker(StateFrame, SetPacing(pacing="lockstep", paused=True))
             try:
                 await self._until(LockstepDriver(self.loop, start), start.tick + ticks)
             finally:

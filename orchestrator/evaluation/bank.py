@@ -33,6 +33,8 @@ Array = npt.NDArray[np.float32]
 
 SEGMENT_S = (1.5, 5.0)
 REACH_SHARE = 0.3
+KIND_SHARES = {"walk": 0.1, "run": 0.3, "turn": 0.15, "wave": 0.1, "jump": 0.25, "stand": 0.1}
+"""What is hardest to perform is met most."""
 REACH_TEXTS = ("a person is walking.", "a person walks forward.", "a person is jogging.")
 REACH_TEXT_SHARES = (0.6, 0.3, 0.1)
 LEADS_TICKS = (0, 12)
@@ -106,13 +108,11 @@ async def record_bank(
 def choose_goal(rng: np.random.Generator, state: StateFrame) -> GoalSource:
     """A random text, or a walk to a random point, with its own seed."""
     if rng.random() < REACH_SHARE:
-        text = str(
-            rng.choice(["a person is walking.", "a person walks forward.", "a person is jogging."], p=[0.6, 0.3, 0.1])
-        )
+        text = str(rng.choice(REACH_TEXTS, p=REACH_TEXT_SHARES))
         task = ReachTask(ReachSpec(text=text), int(rng.integers(1 << 31)))
         task.start(BodyView(state.tick, np.asarray(state.body_pos_w_m, dtype=np.float64), state.fallen))
         return task.goal
-    kind = str(rng.choice(list(COMMANDS)))
+    kind = str(rng.choice(list(KIND_SHARES), p=list(KIND_SHARES.values())))
     return CommandGoal(Command(text=str(rng.choice(COMMANDS[kind]))), state.tick)
 
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from shared.data.body import Array, mirror, origin_start
 from shared.data.grounding import ground
-from shared.data.label import Label, locomotion_label, side_of, turned_rad
+from shared.data.label import Label, locomotion_label, path_speed, side_of, turned_rad
+from shared.data.make_gaits import change_gait, curve, gait, hastened, straightened
 from shared.data.make_jump import jump_on_spot
 from shared.data.make_paths import (
     Source,
-    bend_path,
     find_starts,
     find_stops,
     find_turns,
@@ -27,15 +27,18 @@ from shared.data.make_paths import (
 )
 from shared.data.make_stand import idle, quiet_frames, turn_on_spot, wave
 from shared.data.pieces import SHORTEST, Piece, Report, reason_to_leave_out
-from shared.data.splice import settle, stand_over_feet
+from shared.data.splice import rebuild, settle, stand_over_feet
 from shared.data.texts import clean, sentences
 
 FPS = 30.0
 _STRAIGHT = ("walk", "walk_fast", "walk_slow")
+_LEAST_RUN_MPS = 1.5
+_JOG_MPS = 2.1
+"""Slower jogs are hastened toward this, by a quarter at most."""
 
 COUNTS = {
-    "idle": 60, "turn": 130, "wave": 100, "walk_wave": 40, "start": 60, "stop": 60, "walk_turn": 60, "run_mix": 30,
-    "jump": 40,
+    "idle": 60, "turn": 130, "wave": 100, "walk_wave": 40, "start": 60, "stop": 60, "walk_turn": 60, "run_mix": 120,
+    "jump": 60,
 }  # fmt: skip
 """Pieces of each kind made for training; the held-out split gets a tenth."""
 
@@ -93,16 +96,16 @@ class Maker:
                 continue
             for sign in (1.0, -1.0):
                 rate = sign * self.rng.uniform(0.2, 0.62)
-                bent = bend_path(p, rate)
+                bent = curve(p, rate)
                 self.add("bend", locomotion_label(bent), bent, source)
             sign = 1.0 if self.chance() else -1.0
             angle = sign * np.radians(self.rng.uniform(60, 185))
             seconds = abs(angle) / self.rng.uniform(0.7, 1.0 if running else 1.15)
             start = int(self.rng.uniform(0.6, 1.4) * FPS)
-            bent = bend_path(p, yaw_pulse(len(p), float(angle), float(seconds), start))
+            bent = curve(p, yaw_pulse(len(p), float(angle), float(seconds), start))
             self.add("pulse", _turning_label(bent, running), bent, source)
             weave = self.rng.uniform(0.3, 0.6) * np.sin(np.arange(len(p)) / FPS * self.rng.uniform(0.8, 1.6))
-            bent = bend_path(p, weave)
+            bent = curve(p, weave)
             self.add("weave", locomotion_label(bent), bent, source)
 
     def idles(self, count: int) -> None:
@@ -112,10 +115,10 @@ class Maker:
             self.add("idle", Label("stand", "stand"), idle(pose, frames, self.rng, self.rng.uniform(0.5, 1.2)), source)
 
     def spins(self, count: int) -> None:
-        """Stepping round on the spot, from 45 to 200 degrees."""
+        """Stepping round on the spot, from 65 to 200 degrees."""
         for k in range(count):
             source, pose = self.stand_pose()
-            angle = np.radians(self.rng.uniform(45, 200)) * (1 if k % 2 else -1)
+            angle = np.radians(self.rng.uniform(65, 200)) * (1 if k % 2 else -1)
             p = turn_on_spot(pose, float(angle), self.rng, (self.rng.uniform(0.4, 1.0), self.rng.uniform(0.6, 1.5)))
             self.add("spin", _spin_label(float(angle)), p, source)
 
@@ -143,7 +146,7 @@ class Maker:
             walk = long_walk(source.positions, int(self.rng.uniform(4.5, 6.0) * FPS))
             if walk is None:
                 continue
-            walk = bend_path(walk, self.rng.uniform(-0.3, 0.3))
+            walk = curve(walk, self.rng.uniform(-0.3, 0.3))
             side = "left" if k % 2 else "right"
             p = wave(walk, side, self.rng, self.rng.uniform(-0.5, 0.8), len(walk) / FPS - self.rng.uniform(-0.5, 1.2))
             self.add("walk_wave", Label("wave", "walk_wave", side), p, source)
@@ -161,7 +164,7 @@ class Maker:
                 continue
             label = Label("walk", "walk_start")
             if self.chance():
-                p = bend_path(p, self.rng.uniform(-0.5, 0.5))
+                p = curve(p, self.rng.uniform(-0.5, 0.5))
             if abs(turned_rad(p)) > np.radians(60):
                 label = Label("walk", "walk_curve", side_of(turned_rad(p)))
             self.add("start", label, p, source, walk)
@@ -176,7 +179,7 @@ class Maker:
             cycle = long_walk(b, 130)
             if cycle is None:
                 continue
-            p = stop_walking(bend_path(cycle, self.rng.uniform(-0.35, 0.35)), a, at, 40)
+            p = stop_walking(curve(cycle, self.rng.uniform(-0.35, 0.35)), a, at, 40)
             if p is None:
                 continue
             p = p[-min(len(p), 170) :]
@@ -202,20 +205,58 @@ class Maker:
             self.add("sharp", _turning_label(p, False), p, first, source, second)
 
     def run_mixes(self, count: int) -> None:
-        """Stand to run by a walk's start, and run to stand by a walk's stop."""
-        for k in range(count if self.jogs else 0):
-            jog = pick(self.rng, self.jogs)
-            flip = self.chance()
-            run = long_walk(mirror(jog.positions) if flip else jog.positions, 120)
-            ends = self.starts if k % 2 else self.stops
-            if run is None or not ends:
-                continue
-            source, at = ends[int(self.rng.integers(len(ends)))]
-            a = mirror(source.positions) if flip else source.positions
-            p = start_walking(a, at, run, 160) if k % 2 else stop_walking(run, a, at, 40)
-            if p is None or len(p) < 100:
-                continue
-            self.add("run_mix", Label("run", "run_start" if k % 2 else "run_stop"), p, source, jog)
+        """From a stand or a walk into a run and back, over a few steps."""
+        kinds = (self._run_off, self._run_out, self._speed_up, self._slow_down)
+        for k in range(count if self.jogs and self.starts and self.stops else 0):
+            jog, walk = pick(self.rng, self.jogs), pick(self.rng, self.walks)
+            kinds[k % len(kinds)](jog, walk, self.chance(), float(self.rng.uniform(1.1, 1.9)))
+
+    def _run_off(self, jog: Source, walk: Source, flip: bool, seconds: float) -> None:
+        source, at = self.starts[int(self.rng.integers(len(self.starts)))]
+        run, cycle = self._steady(jog, flip, 170), self._steady(walk, flip, 150)
+        a = mirror(source.positions) if flip else source.positions
+        p = None if cycle is None else start_walking(a, at, cycle, 190)
+        self._changed("run_off", Label("run", "run_start"), p, run, at[1] - at[0], seconds, source, jog, walk)
+
+    def _run_out(self, jog: Source, walk: Source, flip: bool, seconds: float) -> None:
+        source, at = self.stops[int(self.rng.integers(len(self.stops)))]
+        run, cycle = self._steady(jog, flip, 100), self._steady(walk, flip, 150)
+        a = mirror(source.positions) if flip else source.positions
+        p = None if cycle is None else stop_walking(cycle, a, at, 40, 60)
+        self._changed("run_out", Label("run", "run_stop"), run, p, 15, seconds, source, jog, walk)
+
+    def _speed_up(self, jog: Source, walk: Source, flip: bool, seconds: float) -> None:
+        run, cycle = self._steady(jog, flip, 170), self._steady(walk, flip, 120)
+        self._changed("speed_up", Label("run", "run"), cycle, run, 15, seconds, jog, walk)
+
+    def _slow_down(self, jog: Source, walk: Source, flip: bool, seconds: float) -> None:
+        run, cycle = self._steady(jog, flip, 100), self._steady(walk, flip, 170)
+        self._changed("slow_down", Label("walk", "walk"), run, cycle, 15, seconds, jog, walk)
+
+    def _steady(self, source: Source, flip: bool, frames: int) -> Array | None:
+        return long_walk(mirror(source.positions) if flip else source.positions, frames)
+
+    def _changed(
+        self, kind: str, label: Label, a: Array | None, b: Array | None, at: int, seconds: float, *sources: Source
+    ) -> None:
+        """Keep `a` that goes over into `b` some time after its frame `at` and its first step."""
+        steps = None if a is None else gait(a)
+        if a is None or b is None or steps is None:
+            return
+        first = max(at, int(np.ceil(float(steps.frame_of(steps.first)))))
+        p = change_gait(a, first + int(self.rng.integers(20)), b, seconds)
+        if p is not None and len(p) >= SHORTEST:
+            self.add(kind, label, rebuild(p[:220]), *sources)
+
+
+def _jog(source: Source) -> list[Source]:
+    """The recorded run as a straight one at a run's speed; none of those that begin, end or pause."""
+    p = straightened(source.positions)
+    speed = path_speed(p)[10:-10]  # the smoothed ends show less
+    if speed.min() < 0.75 * speed.mean() or speed.mean() < _LEAST_RUN_MPS / 1.25:
+        return []
+    p = hastened(p, float(np.clip(_JOG_MPS / speed.mean(), 1.0, 1.25)))
+    return [Source(source.take, source.source, p)]
 
 
 def _spin_label(angle_rad: float) -> Label:
@@ -247,7 +288,7 @@ def _maker(split: str, pieces: Sequence[Piece], rng: np.random.Generator, report
         rng,
         report,
         [s for p, s in plain if p.label.action in _STRAIGHT],
-        [s for p, s in plain if p.label.action in ("run", "run_curve")],
+        [jog for p, s in plain if p.label.behaviour == "run" for jog in _jog(s)],
         [(s, at) for s in walking for at in find_starts(s.positions)],
         [(s, at) for s in walking for at in find_stops(s.positions)],
         [(s, at) for s in walking for at in find_turns(s.positions)],

@@ -23,7 +23,7 @@ def jump_on_spot(pose: Array, rng: np.random.Generator) -> Array:
     The pelvis follows cubics through crouch, take-off and landing with the velocities that the height of the flight
     asks for, a parabola between; the toes stay planted until take-off; trunk and arms swing along.
     """
-    height = rng.uniform(0.10, 0.24)
+    height = rng.uniform(0.12, 0.20)
     crouch, absorb = rng.uniform(0.17, 0.28), rng.uniform(0.12, 0.22)
     rise = 0.075  # heels off the ground and legs straight at take-off
     speed = float(np.sqrt(2 * _GRAVITY * height))

@@ -108,9 +108,11 @@ def start_walking(start: Array, at: tuple[int, int], walk: Array, frames: int) -
     return out[:frames] if len(out) >= frames else out
 
 
-def stop_walking(walk: Array, stop: Array, at: tuple[int, int], stand_frames: int) -> Array | None:
-    """A walk that ends in another take's recorded stop (its frames `at`) and a stand of `stand_frames`."""
-    joined = after(walk, stop[: at[1] + 1], (25, len(walk)), (max(at[0] - 40, 0), at[0] + 4))
+def stop_walking(
+    walk: Array, stop: Array, at: tuple[int, int], stand_frames: int, earliest: int = 25
+) -> Array | None:  # fmt: skip
+    """A walk of at least `earliest` frames that ends in another take's recorded stop (its frames `at`) and a stand."""
+    joined = after(walk, stop[: at[1] + 1], (earliest, len(walk)), (max(at[0] - 40, 0), at[0] + 4))
     return None if joined is None else settle(joined[0], stand_frames)
 
 

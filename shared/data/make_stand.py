@@ -184,7 +184,7 @@ def wave(p: Array, side: str, rng: np.random.Generator, start_s: float, stop_s: 
     forward, left, up = _chest_axes(p)
     out = left if side == "left" else -left
     elevation, azimuth = np.radians(rng.uniform(-18, 32)), np.radians(rng.uniform(12, 55))
-    frequency, swing = rng.uniform(1.0, 1.8), np.radians(rng.uniform(16, 30))
+    frequency, swing = rng.uniform(1.0, 1.6), np.radians(rng.uniform(22, 36))
     phase = 2 * np.pi * frequency * (t - start_s - 0.5 * rise)
     tilt, nod = np.radians(rng.uniform(-12, 8)), np.radians(rng.uniform(5, 25))
     lift = elevation + 0.18 * swing * np.sin(phase + 0.6)

@@ -33,6 +33,7 @@ LONGEST_S = 8.0
 MAX_SPEED_MPS = 15.0
 MAX_ACCELERATION_MPS2 = 420.0
 MAX_ROTATION_STEP_RAD = 1.6
+_FASTEST_TO_REST_MPS = 1.6
 _MAX_PENETRATION_MM = 30.0
 _MAX_HEIGHT_SPREAD_M = 0.3
 
@@ -74,8 +75,11 @@ def glitch_free(p: Array, shortest: int = 45) -> list[tuple[int, int]]:
     return [(a, b) for a, b in runs(~bad) if b - a >= min(shortest, len(p))]
 
 
-def lengthen(p: Array, label: Label) -> Array:
-    """At least SHORTEST frames: cycles repeat, other motion begins and ends in a stand (or at rest where it is low)."""
+def lengthen(p: Array, label: Label) -> Array | None:
+    """At least SHORTEST frames: cycles repeat, other motion begins and ends in a stand (or at rest where it is low).
+
+    None for what is too fast at an end to come to rest within half a second.
+    """
     missing = SHORTEST - len(p)
     if missing <= 0:
         return p
@@ -83,6 +87,8 @@ def lengthen(p: Array, label: Label) -> Array:
         longer = extend_cycle(p, SHORTEST)
         if longer is not None:
             return longer
+    if max(np.linalg.norm(p[k, 0, :2] - p[k - 5, 0, :2]) * FPS / 5 for k in (5, -1)) > _FASTEST_TO_REST_MPS:
+        return None
     low_start, low_end = (p[i, J["pelvis"], 2] < 0.7 for i in (0, -1))
     before = max(missing // 3, 15)
     after = max(missing - before, 20)
@@ -148,6 +154,9 @@ def pieces_of(take: Take, raw: RawMotion, calibration: Calibration, report: Repo
         for a, b, label in _labelled(take, grounded):
             name = take.name + (f"#{k}" if len(whole) > 1 else "") + (f"@{a}" if b - a < last - first else "")
             longer = lengthen(grounded[a:b], label)
+            if longer is None:
+                report.drop(name, "too short, and at speed where it begins or ends")
+                continue
             final, quality = ground(longer)
             reason = reason_to_leave_out(final, quality)
             if reason:

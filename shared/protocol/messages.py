@@ -141,7 +141,10 @@ class SetTracker(Message):
 
 
 class SetPacing(Message):
-    """Change pacing, or pause a realtime character; the reply is a StateFrame."""
+    """Change pacing, or pause a realtime character; the reply is a StateFrame.
+
+    `paused` stops the wall clock only: a lockstep character that is paused still steps on request, shown as paused.
+    """
 
     type: ClassVar[str] = "SetPacing"
     pacing: Pacing

@@ -80,17 +80,20 @@ def test_text_and_guidance_count_and_no_text_is_the_free_branch(planner: DipPlan
     assert np.abs(planner.plan([request(guidance=7.5)])[0].positions_w_m - free).max() > 1e-4
 
 
-def test_unguided_steps_are_the_last_ones(weights: Path) -> None:
-    def plan(unguided: int, guidance: float) -> np.ndarray:
-        settings = DipSettings(bf16=False, unguided_steps=unguided)
+def test_the_noisiest_steps_are_guided_less(weights: Path) -> None:
+    def plan(coarse_steps: int, guidance: float, coarse: float = 1.0) -> np.ndarray:
+        settings = DipSettings(bf16=False, coarse_steps=coarse_steps, coarse_guidance=coarse)
         own = DipPlanner(load_weights(weights), HashEncoder(), settings)
         return own.plan([request(guidance=guidance)])[0].positions_w_m
 
-    plain = plan(0, 1.0)
+    plain, full = plan(0, 1.0), plan(0, 5.0)
     np.testing.assert_allclose(plan(10, 5.0), plain, atol=1e-5)
+    np.testing.assert_allclose(plan(10, 5.0, 5.0), full, atol=1e-5)
     partly = plan(4, 5.0)
     assert np.abs(partly - plain).max() > 1e-5
-    assert np.abs(partly - plan(0, 5.0)).max() > 1e-5
+    assert np.abs(partly - full).max() > 1e-5
+    # A request that asks for less than the coarse guidance gets what it asks for.
+    np.testing.assert_allclose(plan(4, 0.5, 1.5), plan(0, 0.5), atol=1e-5)
 
 
 def test_targets_are_not_guided_away_from(planner: DipPlanner) -> None:
