@@ -70,6 +70,26 @@ def test_resume_is_exact(references: ReferenceSet, tmp_path: Path) -> None:
         assert torch.equal(a, b)
 
 
+def test_other_clips_leave_the_optimiser_as_it_was(references: ReferenceSet, tmp_path: Path) -> None:
+    """A fresh one would throw the policy far beyond what PPO allows in its first update."""
+    t = trainer(references, tmp_path / "a")
+    for _ in range(3):
+        t.iterate()
+    t.updater.learning_rate = 2e-5
+    t.save(tmp_path / "checkpoint.pt")
+    other = trainer(prepare(HUMANOID, [swaying("c"), swaying("a")]), tmp_path / "b")
+    other.load(tmp_path / "checkpoint.pt")
+    assert other.updater.learning_rate == 2e-5
+    kept, got = (x.updater.optimizer.state_dict()["state"] for x in (t, other))
+    assert kept.keys() == got.keys()
+    assert all(torch.equal(kept[k]["exp_avg_sq"], got[k]["exp_avg_sq"]) for k in kept)
+    assert other.env.fail_rate[1] == t.env.fail_rate[0]  # what is known of a clip that is still there
+    assert other.env.fail_rate[0] == 0.5
+    fresh = trainer(references, tmp_path / "c")
+    fresh.load(tmp_path / "checkpoint.pt", weights_only=True)
+    assert not fresh.updater.optimizer.state_dict()["state"]
+
+
 def test_numpy_policy_equals_torch(references: ReferenceSet, tmp_path: Path) -> None:
     t = trainer(references, tmp_path)
     for _ in range(2):

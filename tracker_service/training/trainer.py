@@ -224,12 +224,19 @@ class Trainer:
         partial.replace(path)
 
     def load(self, path: Path, weights_only: bool = False) -> None:
-        """Go on from a checkpoint. With `weights_only` (a new corpus or environment) only what was learnt is taken."""
+        """Go on from a checkpoint; with other clips or another number of environments, these begin anew.
+
+        With `weights_only` the optimiser and its rate begin anew too.
+        """
         state = torch.load(path, weights_only=True)
         self.network.load_state_dict(state["network"])
         self.averaged.load_state_dict(state.get("averaged") or self.network.actor.state_dict())
         self.normalizer.load_state_dict(state["normalizer"])
         self.samples, self.iteration, self.seconds = state["counters"]
+        if not weights_only:
+            # A fresh Adam steps by its full rate along every sign: one such update moved most ratios out of the clip.
+            self.updater.optimizer.load_state_dict(state["optimizer"])
+            self.updater.learning_rate = state["learning_rate"]
         env = self.env
         same = state["clip_names"] == [str(name) for name in env.references.names]
         if weights_only or not same or len(state["env"]["clip"]) != env.settings.envs:
@@ -237,8 +244,6 @@ class Trainer:
             env.fail_rate = np.array([rates.get(str(n), 0.5) for n in env.references.names])
             self.observation = env.reset_all()
             return
-        self.updater.optimizer.load_state_dict(state["optimizer"])
-        self.updater.learning_rate = state["learning_rate"]
         self.rng.bit_generator.state, env.rng.bit_generator.state = json.loads(state["rng"])
         for name, value in state["env"].items():
             setattr(env, name, value.numpy().copy())
