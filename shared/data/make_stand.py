@@ -179,14 +179,15 @@ def wave(p: Array, side: str, rng: np.random.Generator, start_s: float, stop_s: 
         start_s, stop_s: when the arm begins to rise and to fall; before 0 or past the end the arm is up throughout.
     """
     t = np.arange(len(p)) / FPS
-    rise, fall = rng.uniform(0.5, 0.75), rng.uniform(0.55, 0.8)
+    # One way of waving, a little varied: of many rates and phases a planner learns the mean, an arm that is held up.
+    rise, fall = rng.uniform(0.55, 0.65), rng.uniform(0.55, 0.8)
     w = _ease((t - start_s) / rise) * (1 - _ease((t - stop_s) / fall))
     forward, left, up = _chest_axes(p)
     out = left if side == "left" else -left
-    elevation, azimuth = np.radians(rng.uniform(-18, 32)), np.radians(rng.uniform(12, 55))
-    frequency, swing = rng.uniform(1.0, 1.6), np.radians(rng.uniform(22, 36))
+    elevation, azimuth = np.radians(rng.uniform(-12, 18)), np.radians(rng.uniform(15, 45))
+    frequency, swing = rng.uniform(1.2, 1.3), np.radians(rng.uniform(25, 33))
     phase = 2 * np.pi * frequency * (t - start_s - 0.5 * rise)
-    tilt, nod = np.radians(rng.uniform(-12, 8)), np.radians(rng.uniform(5, 25))
+    tilt, nod = np.radians(rng.uniform(-6, 4)), np.radians(rng.uniform(8, 20))
     lift = elevation + 0.18 * swing * np.sin(phase + 0.6)
     upper = np.cos(lift)[:, None] * (np.cos(azimuth) * out + np.sin(azimuth) * forward) + np.sin(lift)[:, None] * up
     angle = tilt + swing * np.sin(phase)
