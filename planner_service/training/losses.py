@@ -57,8 +57,8 @@ class LossWeights:
 
 
 GESTURE_WEIGHTS = {"left_wrist": 6.0, "right_wrist": 6.0, "left_elbow": 3.0, "right_elbow": 3.0}
-"""Joints that count more in the position and velocity terms: a wave is 8 cm of two joints out of 22, and was smoothed
-away by a plain mean."""
+"""Joints that count more: a wave is 8 cm of two joints out of 22, and is smoothed away by a plain mean, even at the
+last of the diffusion's steps."""
 
 
 def joint_weights() -> Tensor:
@@ -80,6 +80,9 @@ def feature_weights(w: LossWeights) -> Tensor:
         (CONTACTS, w.x0_contacts),
     ):
         out[part] = weight
+    gestures = torch.tensor([GESTURE_WEIGHTS.get(name, 1.0) for name in CANONICAL.names]).repeat_interleave(3)
+    out[JOINT_POSITIONS] *= gestures[3:]
+    out[JOINT_VELOCITIES] *= gestures
     return out / out.mean()
 
 
