@@ -87,7 +87,9 @@ def lengthen(p: Array, label: Label) -> Array | None:
         longer = extend_cycle(p, SHORTEST)
         if longer is not None:
             return longer
-    if max(np.linalg.norm(p[k, 0, :2] - p[k - 5, 0, :2]) * FPS / 5 for k in (5, -1)) > _FASTEST_TO_REST_MPS:
+    n = min(5, len(p) - 1)
+    ends_mps = [np.linalg.norm(q[n, 0, :2] - q[0, 0, :2]) * FPS / max(n, 1) for q in (p, p[::-1])]
+    if max(ends_mps) > _FASTEST_TO_REST_MPS:
         return None
     low_start, low_end = (p[i, J["pelvis"], 2] < 0.7 for i in (0, -1))
     before = max(missing // 3, 15)

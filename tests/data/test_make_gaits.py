@@ -7,8 +7,10 @@ import pytest
 
 from shared.data.body import J, heading_rad, velocity
 from shared.data.grounding import ground
+from shared.data.label import Label
 from shared.data.make_gaits import change_gait, curve, gait, hastened, lean_into, straightened
 from shared.data.make_paths import bend_path
+from shared.data.pieces import SHORTEST, lengthen
 from shared.data.splice import rebuild
 from shared.motion.skeleton import CANONICAL
 from tests.data.samples import stand, stepping
@@ -78,3 +80,12 @@ def test_hastened_motion_is_faster_by_the_factor() -> None:
     q = hastened(p, 1.25)
     assert len(q) == pytest.approx(96, abs=1)
     assert velocity(q[:, 0], 30.0)[10:-10, 0].mean() == pytest.approx(1.25, rel=0.01)
+
+
+def test_what_ends_at_speed_is_not_brought_to_rest_at_once() -> None:
+    jump = Label("jump", "jump_forward")
+    assert lengthen(stepping(60, 2.5), jump) is None
+    slow = lengthen(stepping(60, 1.0), jump)
+    assert slow is not None
+    assert len(slow) >= SHORTEST
+    assert lengthen(stand(3), jump) is not None  # even of a few frames
