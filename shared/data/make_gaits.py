@@ -2,7 +2,7 @@
 
 Whoever speeds up by a or bends a path by the acceleration a leans by atan(a / g), or falls. Joining a walk to a run at
 their nearest poses changes the speed within a quarter of a second, which no tracker can follow: of ten such
-starts ours followed one, of ten stops none, while it followed the same runs on their own (docs/experiments_tracker.md).
+starts ours followed none, of ten stops two, while it followed the same runs on their own (docs/experiments_tracker.md).
 """
 
 from __future__ import annotations
