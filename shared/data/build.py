@@ -34,11 +34,11 @@ HELDOUT_SHARE = 0.1
 BEHAVIOUR_SHARES = {
     "walk": 0.24, "run": 0.09, "turn": 0.11, "stand": 0.08, "wave": 0.11, "jump": 0.09, "punch": 0.03, "kick": 0.04,
     "squat": 0.03, "sneak": 0.02, "dance": 0.05, "gesture": 0.04, "get_up": 0.015, "lie_down": 0.015, "pick_up": 0.02,
-    "throw": 0.015, "other": 0.03,
+    "throw": 0.015, "sit": 0.03, "other": 0.03,
 }  # fmt: skip
 """Share of training samples by behaviour: what a command can ask for comes first, whatever its minutes."""
 
-_DUPLICATES_AMONG = ("cmu_subjects", "cmu_asfamc", "cmu_actions")
+_DUPLICATES_AMONG = ("cmu_subjects", "cmu_asfamc", "cmu_daily", "cmu_actions")
 
 
 def quiet(stage: str, share: float) -> None:

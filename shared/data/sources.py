@@ -123,11 +123,22 @@ _RULES: dict[str, tuple[tuple[str, tuple[str, str, str]], ...]] = {
     "cmu_start_stop": (("", ("dance", "dance", "")),),
 }
 
-# CMU subjects 001-007: by the description in cmu_index.csv.
+# CMU trials whose file name is subject_trial: by the description in cmu_index.csv.
 _CMU_RULES: tuple[tuple[str, tuple[str, str, str]], ...] = (
+    ("sit on", ("sit", "sit_any", "")),
+    ("boxing", ("punch", "box", "")),
+    ("soccer", ("kick", "kick_ball", "")),
+    ("direct traffic", ("gesture", "gesture_traffic", "")),
+    ("wash windows", ("gesture", "gesture_wash", "")),
+    ("drink", ("gesture", "drink", "")),
+    ("laugh", ("gesture", "laugh", "")),
+    ("grab, reach", ("jump", "reach_up", "")),
+    ("jumping jacks", ("gesture", "exercise", "")),
+    ("forward jump", ("jump", "jump_forward", "")),
+    ("navigate", ("walk", "auto", "")),
     ("playground", ("other", "skip", "")),
     ("uneven", ("walk", "skip", "")),
-    ("run/jog", ("run", "auto", "")),
+    ("run", ("run", "auto", "")),
     ("dribble|basketball", ("other", "dribble", "")),
     ("dance", ("dance", "dance_ballet", "")),
     ("jump", ("jump", "auto", "")),
@@ -175,12 +186,14 @@ def list_takes(folder: Path) -> list[Take]:
         asf = None
         # Some of these files have a head turned round in their zero pose and some do not: each is calibrated alone.
         key = f"{source}/{stem}" if source in ("cmu_salsa", "cmu_indian", "cmu_martial") else source
+        if source == "cmu_daily":
+            key = f"{source}/{stem.split('_')[0]}"
         if path.suffix == ".amc":
             prefix = stem[:6] if source == "hdm05" else stem.split("_")[0]
             asf = path.parent / f"{prefix}.asf"
             key = f"{source}/{prefix}"
         texts: list[str] = []
-        if source in ("cmu_subjects", "cmu_asfamc"):
+        if source in ("cmu_subjects", "cmu_asfamc", "cmu_daily"):
             subject, trial = stem.split("_")
             trial_id = f"{int(subject):02d}_{trial}"
             behaviour, action, side = _match(_CMU_RULES, index.get(trial_id, ""))

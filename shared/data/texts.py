@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 BEHAVIOURS = (
     "walk", "run", "turn", "stand", "wave", "jump", "punch", "kick", "squat", "sneak", "dance", "gesture", "get_up",
-    "lie_down", "pick_up", "throw", "other",
+    "lie_down", "pick_up", "throw", "sit", "other",
 )  # fmt: skip
 """Canonical behaviour ids of the corpus."""
 
@@ -50,6 +50,12 @@ SENTENCES: dict[str, tuple[str, ...]] = {
     "kick_front": ("a person does front kicks", "front kick", "kick", "someone does karate front kicks", "kick forward"),
     "kick_spin": ("a person does a spin kick", "spin kick", "kick", "someone spins and kicks", "do a spinning kick"),
     "kick_ball": ("a person kicks a ball", "kick the ball", "someone runs up and kicks a soccer ball", "kick", "a person plays soccer"),
+    "box": ("a person boxes", "box", "someone is boxing", "shadow box", "a person throws punches like a boxer", "punch"),
+    "drink": ("a person drinks from a bottle", "drink", "someone takes a drink", "have a drink", "raise a bottle and drink"),
+    "laugh": ("a person laughs", "laugh", "someone is laughing", "laugh out loud", "a person bends over with laughter"),
+    "reach_up": ("a person reaches up and jumps to grab something", "reach up and jump", "someone jumps up to grab something high", "stand on tiptoe and reach up"),
+    "exercise": ("a person does jumping jacks and other exercises", "do exercises", "someone exercises", "warm up", "a person does gymnastics"),
+    "sit_any": ("a person sits down on a stool and stands up again", "sit down on a stool", "someone sits on a stool", "sit down and get up again", "have a seat"),
     "squat": ("a person squats", "squat", "squat down", "someone does a squat", "a person squats down and stands up again", "bend your knees and squat", "do a squat"),
     "sneak": ("a person sneaks forward", "sneak", "someone is sneaking", "a person tiptoes stealthily", "walk stealthily", "creep forward", "move quietly with bent knees"),
     "zombie": ("a person walks like a zombie", "walk like a zombie", "someone shambles forward with arms raised", "zombie walk"),
