@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from shared.data.body import SIDES
-from shared.data.limbs import solve_leg
+from shared.motion.body import SIDES
 from shared.motion.features import body_heading
 from shared.motion.ik import clip_from_positions, standing_pose
 from shared.motion.kinematics import forward_kinematics
+from shared.motion.limbs import solve_leg
 from shared.motion.skeleton import CANONICAL
 from shared.plugins.interfaces import PlannerSpec
 from shared.protocol.messages import PLANNER_FPS, Plan, PlanRequest

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from shared.data.limbs import solve_leg
 from shared.motion.clip import MotionClip
 from shared.motion.ik import clip_from_positions
+from shared.motion.limbs import solve_leg
 from shared.motion.skeleton import CANONICAL
 
 Array = npt.NDArray[np.float64]

@@ -14,17 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from shared.data.body import Array, mirror, origin_start
 from shared.data.corpus import FORMAT, FPS, ClipInfo, write_corpus
 from shared.data.label import rotation_steps_rad
-from shared.data.limbs import bends_rad
 from shared.data.pieces import Piece, Report, pieces_of, same_recording
 from shared.data.retarget import calibrate, retarget
 from shared.data.sources import Take, list_takes
 from shared.data.splice import local_rotations
 from shared.data.texts import clean, swap_sides
 from shared.errors import InvalidInputError
+from shared.motion.body import Array, mirror, origin_start
 from shared.motion.io.raw import RawMotion
+from shared.motion.limbs import bends_rad
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share of the whole that is finished, 0 to 1."""

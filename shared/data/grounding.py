@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d, median_filter
 
-from shared.data.body import (
+from shared.motion.body import (
     SIDES,
     Array,
     Bools,
@@ -21,7 +21,7 @@ from shared.data.body import (
     sole_points,
     velocity,
 )
-from shared.data.limbs import reach, solve_leg, unlock_arms
+from shared.motion.limbs import reach, solve_leg, unlock_arms
 from shared.motion.skeleton import CANONICAL
 
 _CONTACT_HEIGHT_M = 0.035

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from shared.data.body import origin_start
 from shared.data.grounding import Quality, ground
 from shared.data.retarget import Calibration, calibrate, retarget
 from shared.data.splice import denoise
 from shared.errors import InvalidInputError
+from shared.motion.body import origin_start
 from shared.motion.clip import MotionClip
 from shared.motion.ik import clip_from_positions
 from shared.motion.io.asfamc import read_asf_amc

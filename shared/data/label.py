@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from shared.data.body import Array, heading_rad, runs, sole_height, velocity
+from shared.motion.body import Array, heading_rad, runs, sole_height, velocity
 from shared.motion.rotations import rotvec_from_matrix, wrap_angle
 
 STAND_MPS = 0.2

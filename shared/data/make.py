@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 
-from shared.data.body import Array, mirror, origin_start
 from shared.data.grounding import ground
 from shared.data.label import Label, locomotion_label, path_speed, side_of, turned_rad
 from shared.data.make_gaits import change_gait, curve, gait, hastened, straightened
@@ -29,6 +28,7 @@ from shared.data.make_stand import idle, quiet_frames, turn_on_spot, wave
 from shared.data.pieces import SHORTEST, Piece, Report, reason_to_leave_out
 from shared.data.splice import rebuild, settle, stand_over_feet
 from shared.data.texts import clean, sentences
+from shared.motion.body import Array, mirror, origin_start
 
 FPS = 30.0
 _STRAIGHT = ("walk", "walk_fast", "walk_slow")

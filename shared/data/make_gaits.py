@@ -14,10 +14,10 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
-from shared.data.body import SIDES, Array, J, forward_of, heading_rad, place, velocity
-from shared.data.limbs import solve_leg
 from shared.data.make_paths import bend_path
 from shared.data.splice import rebuild
+from shared.motion.body import SIDES, Array, J, forward_of, heading_rad, place, velocity
+from shared.motion.limbs import solve_leg
 from shared.motion.resampling import resample
 from shared.motion.rotations import matrix_from_rotvec
 

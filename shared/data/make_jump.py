@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
-from shared.data.body import SIDES, SOLE_UNDER_BALL_M, Array, J, left_axis
-from shared.data.limbs import solve_leg, unlock_arms
 from shared.data.make_stand import idle
 from shared.data.splice import local_rotations
+from shared.motion.body import SIDES, SOLE_UNDER_BALL_M, Array, J, left_axis
 from shared.motion.kinematics import forward_kinematics
+from shared.motion.limbs import solve_leg, unlock_arms
 from shared.motion.rotations import matrix_from_axis_angle
 from shared.motion.skeleton import CANONICAL
 

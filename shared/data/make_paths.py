@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from shared.data.body import Array, heading_rad, place, runs
 from shared.data.label import path_speed
 from shared.data.splice import extend_cycle, join, nearest, settle
+from shared.motion.body import Array, heading_rad, place, runs
 
 FPS = 30.0
 JOIN_DISTANCE = 0.30

@@ -6,10 +6,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 
-from shared.data.body import SIDES, SOLE_UNDER_ANKLE_M, Array, J, velocity
-from shared.data.limbs import MIN_BEND_RAD, reach, solve_leg
 from shared.data.splice import local_rotations
+from shared.motion.body import SIDES, SOLE_UNDER_ANKLE_M, Array, J, velocity
 from shared.motion.kinematics import forward_kinematics
+from shared.motion.limbs import MIN_BEND_RAD, reach, solve_leg
 from shared.motion.rotations import matrix_about_z, matrix_from_rotvec, normalize
 from shared.motion.skeleton import CANONICAL
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from shared.data.body import Array, J, origin_start, runs, velocity
 from shared.data.grounding import Quality, ground
 from shared.data.label import (
     Label,
@@ -23,6 +22,7 @@ from shared.data.retarget import Calibration, retarget
 from shared.data.sources import Take
 from shared.data.splice import denoise, extend_cycle, local_rotations, settle, settle_before
 from shared.data.texts import clean, sentences
+from shared.motion.body import Array, J, origin_start, runs, velocity
 from shared.motion.io.raw import RawMotion
 
 FPS = 30.0

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.data.body import SIDES, Array, Bools, J
 from shared.errors import InvalidInputError
+from shared.motion.body import SIDES, Array, Bools, J
 from shared.motion.io.landmarks import find_landmarks, find_segments, leg_length
 from shared.motion.io.raw import RawMotion
 from shared.motion.rotations import (

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from shared.data.body import Array, J, heading_rad, place
 from shared.errors import InvalidInputError
+from shared.motion.body import Array, J, heading_rad, place
 from shared.motion.skeleton import CANONICAL
 
 _COLOURS = {"left": "#c0392b", "right": "#2460a7", "": "#444444"}

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import savgol_filter
 
-from shared.data.body import SIDES, SOLE_UNDER_ANKLE_M, Array, J, forward_of, heading_rad, place
-from shared.data.limbs import solve_leg
+from shared.motion.body import SIDES, SOLE_UNDER_ANKLE_M, Array, J, forward_of, heading_rad, place
 from shared.motion.ik import clip_from_positions, rotations_from_positions, standing_pose
 from shared.motion.kinematics import forward_kinematics
+from shared.motion.limbs import solve_leg
 from shared.motion.rotations import matrix_about_z
 from shared.motion.skeleton import CANONICAL
 

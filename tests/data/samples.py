@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.data.body import Array, J
-from shared.data.limbs import solve_leg
+from shared.motion.body import Array, J
 from shared.motion.ik import standing_clip, standing_pose
 from shared.motion.kinematics import forward_kinematics
+from shared.motion.limbs import solve_leg
 from shared.motion.skeleton import CANONICAL
 
 

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.data.body import J, sole_height
 from shared.data.build import BEHAVIOUR_SHARES, build, heldout_takes, mirrored, weights, with_split
 from shared.data.corpus import Corpus
 from shared.data.label import Label, rotation_steps_rad
@@ -19,6 +18,7 @@ from shared.data.pieces import MAX_ROTATION_STEP_RAD, SHORTEST, Piece, same_reco
 from shared.data.splice import local_rotations
 from shared.data.texts import BEHAVIOURS, SENTENCES, clean, sentences, swap_sides
 from shared.errors import InvalidInputError
+from shared.motion.body import J, sole_height
 from shared.motion.ik import clip_from_positions
 from shared.motion.io.bvh import write_bvh
 from tests.data.samples import stepping

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shared.data.body import J, heading_rad, sole_height
 from shared.data.grounding import ground
 from shared.data.label import Label, locomotion_label, rotation_steps_rad, segment_locomotion, turned_rad
 from shared.data.make_jump import jump_on_spot
 from shared.data.make_paths import bend_path, find_starts, find_stops, yaw_pulse
 from shared.data.make_stand import idle, turn_on_spot, wave
 from shared.data.splice import crossfade, extend_cycle, local_rotations, rebuild, settle, settle_before
+from shared.motion.body import J, heading_rad, sole_height
 from shared.motion.skeleton import CANONICAL
 from tests.data.samples import stand, stepping
 

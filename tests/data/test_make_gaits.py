@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shared.data.body import J, heading_rad, velocity
 from shared.data.grounding import ground
 from shared.data.label import Label
 from shared.data.make_gaits import change_gait, curve, gait, hastened, lean_into, straightened
 from shared.data.make_paths import bend_path
 from shared.data.pieces import SHORTEST, lengthen
 from shared.data.splice import rebuild
+from shared.motion.body import J, heading_rad, velocity
 from shared.motion.skeleton import CANONICAL
 from tests.data.samples import stand, stepping
 

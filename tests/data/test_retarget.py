@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shared.data.body import J, heading_rad, mirror, origin_start, place, sole_height, sole_points
 from shared.data.grounding import contacts, fix_heights, ground, measure
 from shared.data.importer import import_path, load_clip
-from shared.data.limbs import MIN_BEND_RAD, bends_rad, two_bone
 from shared.data.pieces import glitch_free
 from shared.data.retarget import calibrate, retarget
 from shared.errors import InvalidInputError
+from shared.motion.body import J, heading_rad, mirror, origin_start, place, sole_height, sole_points
 from shared.motion.ik import clip_from_positions
 from shared.motion.io.bvh import read_bvh, write_bvh
+from shared.motion.limbs import MIN_BEND_RAD, bends_rad, two_bone
 from shared.motion.rotations import normalize
 from shared.motion.skeleton import CANONICAL
 from tests.data.samples import stand, stepping

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from planner_service.builtin.library import save_clip
-from shared.data.limbs import solve_arm, solve_leg
 from shared.motion.ik import clip_from_positions, standing_clip
+from shared.motion.limbs import solve_arm, solve_leg
 from shared.motion.skeleton import CANONICAL
 
 FPS = 30.0

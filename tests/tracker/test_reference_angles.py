@@ -9,9 +9,9 @@ import pytest
 
 from shared.data.build import build
 from shared.data.corpus import Corpus
-from shared.data.limbs import solve_arm
 from shared.motion.ik import clip_from_positions
 from shared.motion.io.bvh import write_bvh
+from shared.motion.limbs import solve_arm
 from shared.motion.skeleton import CANONICAL
 from tests.data.samples import stepping
 from tracker_service.simulation.character_spec import HUMAN

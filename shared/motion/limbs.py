@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from shared.data.body import SIDES, Array, J, foot_axes, left_axis
+from shared.motion.body import SIDES, Array, J, foot_axes, left_axis
 from shared.motion.rotations import normalize
 from shared.motion.skeleton import CANONICAL
 
