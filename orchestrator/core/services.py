@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from shared.errors import MotionLoopError, UnavailableError
+from shared.plugins.registry import current_name
 from shared.protocol.base import Message
 from shared.protocol.control import Health, HealthReport, Welcome
 from shared.protocol.security import CurveKeys
@@ -37,11 +38,11 @@ class Slot:
     @property
     def plugin_name(self) -> str:
         """The plug-in in use unless a character names another."""
-        return self.plugin or self.welcome.default_plugin
+        return current_name(self.plugin or self.welcome.default_plugin)
 
     def spec(self, plugin: str | None = None) -> dict[str, Any]:
         """What the plug-in declared in the handshake; empty for one that the service does not offer."""
-        name = plugin or self.plugin_name
+        name = current_name(plugin) if plugin else self.plugin_name
         return next((dict(spec) for spec in self.welcome.plugins if spec.get("name") == name), {})
 
     async def ask(

@@ -21,6 +21,17 @@ PLANNERS = "motionloop.planners"
 TRACKERS = "motionloop.trackers"
 log = logging.getLogger(__name__)
 
+FORMER_NAMES = {"ppo": "learned"}
+"""Plug-ins that were renamed; the old names are understood for one release."""
+
+
+def current_name(name: str) -> str:
+    """The present name of a plug-in; a former one is understood, and a line in the log says so."""
+    if name not in FORMER_NAMES:
+        return name
+    log.warning("plug-in %r is called %r now; the old name goes with the next release", name, FORMER_NAMES[name])
+    return FORMER_NAMES[name]
+
 
 class PluginRegistry(Generic[P]):
     """Plug-ins by name, each made when first asked for and kept.

@@ -25,6 +25,7 @@ from shared.errors import (
     MotionLoopError,
     OverloadedError,
 )
+from shared.plugins.registry import current_name
 from shared.protocol.base import PROTOCOL_VERSION, Message
 from shared.protocol.codec import MAX_FRAMES, MAX_MESSAGE_BYTES, decode, encode, message_id_of
 from shared.protocol.control import Envelope, Health, Hello, Welcome
@@ -289,7 +290,7 @@ class ServiceServer:
             )
         welcome = self._welcome(hello)
         names = [str(plugin.get("name")) for plugin in welcome.plugins]
-        if hello.plugin is not None and hello.plugin not in names:
+        if hello.plugin is not None and current_name(hello.plugin) not in names:
             raise IncompatiblePeerError(
                 f"this {welcome.service} has no plug-in {hello.plugin!r}", field="plugin", allowed=", ".join(names)
             )

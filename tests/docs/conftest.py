@@ -57,7 +57,7 @@ class Served:
 
 @pytest.fixture(scope="session")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    """Planner `stand` (with `clip` and `glide`), tracker `kinematic` (with `pd`, `ppo` where it loads, and `ahead`)."""
+    """Planner `stand` (with `clip`, `glide`), tracker `kinematic` (with `pd`, `learned` where it loads, `ahead`)."""
     site = tmp_path_factory.mktemp("site")
     for name in EXAMPLES:
         install(REPO / "examples" / name, site)

@@ -48,7 +48,7 @@ def one_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Clie
             yield client
 
 
-@pytest.mark.parametrize(("planner", "tracker"), [("stand", "pd"), ("dip", "ppo")])
+@pytest.mark.parametrize(("planner", "tracker"), [("stand", "pd"), ("dip", "learned")])
 def test_lockstep_gives_the_same_log_in_one_process_and_in_three(
     one_process: httpx.Client, three_processes: httpx.Client, planner: str, tracker: str
 ) -> None:

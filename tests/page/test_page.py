@@ -69,8 +69,8 @@ def test_a_clicked_hand_gets_the_next_target(page: Page) -> None:
 def test_dragging_the_body_pushes_it_in_that_direction(
     context: BrowserContext, stack: Stack, http: httpx.Client
 ) -> None:
-    """Tracker `ppo`: a push needs physics, and a body that stands until it is pushed."""
-    spec = {"pacing": "realtime", "tracker": "ppo", "planner": "stand"}
+    """Tracker `learned`: a push needs physics, and a body that stands until it is pushed."""
+    spec = {"pacing": "realtime", "tracker": "learned", "planner": "stand"}
     character = http.post("/v1/characters", json=spec).json()["id"]
     page = context.new_page()
     page.goto(f"{stack.url}/#character={character}")

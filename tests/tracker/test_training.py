@@ -13,8 +13,8 @@ from safetensors.numpy import load_file
 from shared.errors import InvalidInputError
 from shared.motion.ik import standing_clip
 from shared.scenes.schema import load_scene
+from tracker_service.policy.learned import LearnedTracker, policy_input
 from tracker_service.policy.observations import feedforward_targets
-from tracker_service.policy.ppo import PpoTracker, policy_input
 from tracker_service.simulation.character import SimulatedCharacter
 from tracker_service.simulation.character_spec import HUMAN
 from tracker_service.simulation.humanoid import humanoid
@@ -98,7 +98,7 @@ def test_numpy_policy_equals_torch(references: ReferenceSet, tmp_path: Path) -> 
         t.averaged[-1].weight.mul_(100.0)
     t.save(tmp_path / "checkpoint.pt")
     path = export_weights(tmp_path / "checkpoint.pt", tmp_path / "ppo.safetensors", {})
-    tracker = PpoTracker(t.env.ratio, path)
+    tracker = LearnedTracker(t.env.ratio, path)
     tensors = load_file(str(path))
     network = ActorCritic(t.env.observation_size, t.env.hinges)
     with torch.no_grad():

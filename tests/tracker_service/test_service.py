@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.control import Health, HealthReport, Ok
@@ -204,3 +205,10 @@ def test_health_counts(client: ServiceClient) -> None:
     report = client.ask(Health(), HealthReport)
     assert report.status == "ok"
     assert int(report.detail["characters"]) >= 1
+
+
+def test_the_former_name_of_a_tracker_is_understood(client: ServiceClient, caplog: pytest.LogCaptureFixture) -> None:
+    frame = client.ask(CreateCharacter(tracker="ppo"), StateFrame, "by-its-old-name")
+    assert frame.tracker == "learned"
+    assert any("'ppo' is called 'learned'" in record.getMessage() for record in caplog.records)
+    client.ask(CloseCharacter(), Ok, "by-its-old-name")

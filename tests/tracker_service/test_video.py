@@ -13,12 +13,12 @@ from shared.motion.rotations import quat_from_matrix
 from shared.protocol.messages import CreateCharacter, Render, StateFrame, Video
 from shared.protocol.transport import ServiceClient
 from tests.tracker_service.support import standing_plan, step
-from tracker_service.simulation import render
-from tracker_service.simulation.render import Backend, RenderingError, VideoRenderer
-from tracker_service.simulation.render_worker import with_captions
-from tracker_service.simulation.scene_shapes import SceneShape
-from tracker_service.simulation.shadows import floor_projection
-from tracker_service.simulation.video_job import VideoJob, camera_path, load_job, save_job
+from tracker_service.rendering import render
+from tracker_service.rendering.render import Backend, RenderingError, VideoRenderer
+from tracker_service.rendering.render_worker import with_captions
+from tracker_service.rendering.scene_shapes import SceneShape
+from tracker_service.rendering.shadows import floor_projection
+from tracker_service.rendering.video_job import VideoJob, camera_path, load_job, save_job
 
 
 def job(frames: int = 6, **changes: object) -> VideoJob:

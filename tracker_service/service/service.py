@@ -42,15 +42,15 @@ from shared.protocol.messages import (
     Video,
 )
 from shared.protocol.transport import ServiceServer, StatePublisher
-from tracker_service.policy.ppo import WEIGHTS
+from tracker_service.policy.learned import WEIGHTS
+from tracker_service.rendering.render import VideoRenderer
+from tracker_service.rendering.video_job import VideoJob
 from tracker_service.service.hosted import HostedCharacter
 from tracker_service.service.realtime import RealtimeClock
 from tracker_service.service.settings import TrackerServiceSettings, dump_folder
 from tracker_service.service.trackers import TrackerCatalogue, builtin_trackers
 from tracker_service.service.worlds import Worlds, scene_shapes
 from tracker_service.simulation.recorder import Recorder
-from tracker_service.simulation.render import VideoRenderer
-from tracker_service.simulation.video_job import VideoJob
 
 VERSION = "0.1.0"
 MAX_VIDEO_BYTES = 60 * 2**20

@@ -20,8 +20,8 @@ class TrackerServiceSettings(ServiceSettings):
     Attributes:
         state_endpoint: where state frames are published.
         trackers: names of the plug-ins to offer; empty for all there are.
-        default_tracker: the one used where none is named; empty for the first of ppo, pd, or what there is.
-        weights: policy of `ppo` in place of the one that comes with the package.
+        default_tracker: the one used where none is named; empty for the first of learned, pd, or what there is.
+        weights: policy of `learned` in place of the one that comes with the package.
         max_characters: more are refused as overloaded.
         spool_dir: folder for recordings that leave memory and for dumps of failed physics; a temporary one, removed at
             the end (dumps stay), by default.

@@ -7,13 +7,13 @@ from pathlib import Path
 
 from shared.errors import InvalidInputError, UnavailableError
 from shared.plugins.interfaces import Tracker
-from shared.plugins.registry import TRACKERS, PluginRegistry
-from tracker_service.policy.ppo import WEIGHTS
+from shared.plugins.registry import TRACKERS, PluginRegistry, current_name
+from tracker_service.policy.learned import WEIGHTS
 from tracker_service.policy.registry import tracker_factories
 from tracker_service.simulation.character_spec import HUMAN
 from tracker_service.simulation.humanoid import humanoid
 
-PREFERRED = ("ppo", "pd", "kinematic")
+PREFERRED = ("learned", "pd", "kinematic")
 
 
 def builtin_trackers(weights: Path = WEIGHTS) -> dict[str, Callable[[], Tracker]]:
@@ -38,7 +38,7 @@ class TrackerCatalogue:
 
     Args:
         only: names to offer; empty for all that can be made.
-        default: name of the default; empty for the first there is of ppo, pd, kinematic, others.
+        default: name of the default; empty for the first there is of learned, pd, kinematic, others.
         builtin: factories by name.
     """
 
@@ -49,11 +49,12 @@ class TrackerCatalogue:
         builtin: dict[str, Callable[[], Tracker]] | None = None,
     ):
         self._registry: PluginRegistry[Tracker] = PluginRegistry(
-            TRACKERS, builtin_trackers() if builtin is None else builtin, only or None
+            TRACKERS, builtin_trackers() if builtin is None else builtin, [current_name(name) for name in only] or None
         )
         self._made = self._registry.load_all()
         if not self._made:
             raise InvalidInputError(f"no tracker can be loaded: {self._registry.withdrawn()}", field="trackers")
+        default = current_name(default)
         if default and default not in self._made:
             raise InvalidInputError(f"no tracker {default!r}", field="default_tracker", allowed=", ".join(self._made))
         self.default = default or next((name for name in PREFERRED if name in self._made), next(iter(self._made)))
@@ -62,6 +63,7 @@ class TrackerCatalogue:
         """The tracker, or the default one for None; raises InvalidInputError listing the names."""
         if name is None:
             return self._made[self.default]
+        name = current_name(name)
         if name not in self._made:
             raise InvalidInputError(f"unknown tracker {name!r}", field="tracker", allowed=", ".join(self._made))
         return self._made[name]

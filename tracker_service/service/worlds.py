@@ -6,11 +6,11 @@ import threading
 
 from shared.plugins.interfaces import Tracker
 from shared.scenes.schema import Scene, load_scene
+from tracker_service.rendering.scene_shapes import SceneShape
 from tracker_service.simulation.character import SimulatedCharacter
 from tracker_service.simulation.character_spec import character
 from tracker_service.simulation.humanoid import humanoid
 from tracker_service.simulation.scene import SceneModel, build_scene
-from tracker_service.simulation.scene_shapes import SceneShape
 
 
 class Worlds:

@@ -20,7 +20,7 @@ from shared.data.corpus import Corpus
 from shared.data.importer import SUFFIXES, load_clip
 from shared.errors import InvalidInputError
 from shared.motion.resampling import resample
-from tracker_service.policy.ppo import WEIGHTS, PpoTracker
+from tracker_service.policy.learned import WEIGHTS, LearnedTracker
 from tracker_service.simulation.character_spec import HUMAN
 from tracker_service.simulation.humanoid import humanoid
 from tracker_service.simulation.reference import TICK_HZ
@@ -79,7 +79,7 @@ def evaluate_weights(motions: list[MotionInput], weights: Path | None = WEIGHTS)
     def rest(observation: F32) -> F32:
         return np.zeros((len(observation), hinges), np.float32)
 
-    policy = rest if weights is None else PpoTracker(human.damping / human.stiffness, weights).network
+    policy = rest if weights is None else LearnedTracker(human.damping / human.stiffness, weights).network
     return evaluate(EnvSettings(), references, human, policy)
 
 

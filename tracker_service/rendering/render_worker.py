@@ -1,4 +1,4 @@
-"""The rendering process: `python -m tracker_service.simulation.render_worker FOLDER egl|osmesa|drawn [--probe]`.
+"""The rendering process: `python -m tracker_service.rendering.render_worker FOLDER egl|osmesa|drawn [--probe]`.
 
 A process of its own, because the graphics library is chosen when it is loaded, may be missing or crash, and must not
 hold up the physics. Reads the job of `FOLDER`, writes `FOLDER/video.mp4`.
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from shared.motion.skeleton import skeleton
-from tracker_service.simulation.video_job import TICK_HZ, VideoJob, camera_path, load_job
+from tracker_service.rendering.video_job import TICK_HZ, VideoJob, camera_path, load_job
 
 Frame = npt.NDArray[np.uint8]
 BACKENDS = ("egl", "osmesa", "drawn")
@@ -26,8 +26,8 @@ def mujoco_frames(job: VideoJob) -> Iterator[Frame]:
     """(height, width, 3) uint8 frames of the mannequin, by MuJoCo's off-screen renderer."""
     import mujoco
 
-    from tracker_service.simulation.mannequin import mannequin_model
-    from tracker_service.simulation.shadows import FloorShadows
+    from tracker_service.rendering.mannequin import mannequin_model
+    from tracker_service.rendering.shadows import FloorShadows
 
     bones = skeleton(job.skeleton_id)
     model = mannequin_model(bones, job.shapes, width=job.width, height=job.height)
@@ -135,7 +135,7 @@ def main(argv: list[str]) -> int:
         return 0
     job = load_job(folder)
     if backend == "drawn":
-        from tracker_service.simulation.drawn import draw_frames
+        from tracker_service.rendering.drawn import draw_frames
 
         frames = draw_frames(job)
     else:

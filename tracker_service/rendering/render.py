@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from shared.errors import InvalidInputError, MotionLoopError
-from tracker_service.simulation.video_job import VideoJob, save_job
+from tracker_service.rendering.video_job import VideoJob, save_job
 
 Backend = Literal["egl", "osmesa", "drawn"]
 INSTALL_NOTE = (
@@ -112,7 +112,7 @@ class VideoRenderer:
         """Run the worker; None when it succeeded, else the end of what it said."""
         if self._closed:
             return "the renderer is closed"
-        command = [sys.executable, "-m", "tracker_service.simulation.render_worker", str(folder), backend, *options]
+        command = [sys.executable, "-m", "tracker_service.rendering.render_worker", str(folder), backend, *options]
         root = str(Path(__file__).resolve().parents[2])
         path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
         # Mesa's software renderer takes every core it finds, which the physics needs: LP_NUM_THREADS bounds it.

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from tracker_service.simulation.mannequin import KEY_LIGHT_DIR
+from tracker_service.rendering.mannequin import KEY_LIGHT_DIR
 
 SHADOW_RGBA = np.array([0.36, 0.39, 0.43, 1.0], dtype=np.float32)
 LIFT_M = 0.003

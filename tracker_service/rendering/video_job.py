@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.motion.skeleton import CANONICAL
-from tracker_service.simulation.scene_shapes import SceneShape
+from tracker_service.rendering.scene_shapes import SceneShape
 
 FloatArray = npt.NDArray[np.floating]
 Camera = Literal["follow", "side", "top"]

@@ -12,7 +12,7 @@ import mujoco
 
 from shared.motion.figure import COLOURS, Part, parts_of
 from shared.motion.skeleton import Skeleton
-from tracker_service.simulation.scene_shapes import SceneShape
+from tracker_service.rendering.scene_shapes import SceneShape
 
 KEY_LIGHT = "key"
 KEY_LIGHT_DIR = (-0.45, 0.35, -0.85)

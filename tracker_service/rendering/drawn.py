@@ -9,7 +9,7 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw
 
 from shared.motion.skeleton import Skeleton, skeleton
-from tracker_service.simulation.video_job import VideoJob, camera_path
+from tracker_service.rendering.video_job import VideoJob, camera_path
 
 FloatArray = npt.NDArray[np.floating]
 Frame = npt.NDArray[np.uint8]

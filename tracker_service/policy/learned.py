@@ -72,7 +72,7 @@ class PolicyNetwork:
         return np.asarray(np.clip(x, -1.0, 1.0), dtype=np.float32)
 
 
-class PpoTracker:
+class LearnedTracker:
     """Servo targets = led reference + scaled action of the policy.
 
     Args:
@@ -94,7 +94,7 @@ class PpoTracker:
         self.network = PolicyNetwork(tensors, self.card.layers, self.card.observation_clip)
         self._ratio = damping_ratio_s
         self.spec = TrackerSpec(
-            name="ppo",
+            name="learned",
             version=self.card.version,
             weights_sha256=hashlib.sha256(raw).hexdigest(),
             skeleton=self.card.skeleton,
