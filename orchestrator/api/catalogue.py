@@ -11,7 +11,8 @@ from orchestrator.api.problems import RESPONSES
 from orchestrator.core.command import JOINTS
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import TICK_HZ
-from shared.scenes.schema import Scene, load_scene, scene_names
+from shared.scenes.files import load_scene, scene_names
+from shared.scenes.schema import Scene
 from shared.tasks.specs import TaskSpec
 
 router = APIRouter(prefix="/v1", tags=["catalogue"], responses=RESPONSES)

@@ -15,7 +15,8 @@ from orchestrator.export.formats import MEDIA_TYPES, Format, Unit, exported
 from orchestrator.store.recordings import FIELDS, Recording, joined
 from shared.errors import ConflictError, NotFoundError
 from shared.protocol.messages import TICK_HZ
-from shared.scenes.schema import Scene, load_scene
+from shared.scenes.files import load_scene
+from shared.scenes.schema import Scene
 
 router = APIRouter(prefix="/v1", tags=["motion"], responses=RESPONSES)
 

@@ -16,15 +16,15 @@ import numpy.typing as npt
 from orchestrator.store.recordings import Recording
 from shared.motion.figure import COLOURS, parts_of
 from shared.motion.mesh import Mesh, box, capsule, cylinder, ellipsoid, joined
-from shared.motion.rotations import normalize, quat_conj, quat_mul
+from shared.motion.rotations import matrix_from_quat, normalize, quat_conj, quat_mul
 from shared.motion.skeleton import CANONICAL, Skeleton
 from shared.protocol.messages import TICK_HZ
-from shared.scenes.schema import Scene, SceneBody
+from shared.scenes.schema import Part, Scene, SceneBody
 
 Array = npt.NDArray[np.float64]
 AXES = [1, 2, 0]
 """glTF's x, y, z are these of ours."""
-OBJECT_RGBA = (0.62, 0.45, 0.34, 1.0)
+OBJECT, OBJECT_RGBA = "object", (0.62, 0.45, 0.34, 1.0)
 _FLOAT, _UINT32 = 5126, 5125
 _VERTICES, _INDICES = 34962, 34963
 _WIDTH = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
@@ -39,13 +39,16 @@ def to_glb(recording: Recording, scene: Scene | None = None) -> bytes:
     """
     skeleton = CANONICAL
     file = _File()
-    for name, rgba in (*COLOURS.items(), ("object", OBJECT_RGBA)):
+    for name, rgba in (*COLOURS.items(), (OBJECT, OBJECT_RGBA)):
         file.material(name, rgba)
+    bodies = () if scene is None else scene.bodies
+    for colour in sorted({part.colour for body in bodies for part in body.parts if part.colour is not None}):
+        file.material(_paint(colour), (*colour, 1.0))
     times = file.accessor(np.arange(len(recording)) / TICK_HZ, "SCALAR", bounds=True)
     positions = np.asarray(recording.arrays["body_pos_w_m"], dtype=np.float64)
     quats = normalize(recording.arrays["body_quat_w"])
     roots = [_add_character(file, skeleton, positions, quats, times)]
-    shapes = {} if scene is None else {body.name: body for body in scene.bodies}
+    shapes = {body.name: body for body in bodies}
     poses = np.asarray(recording.arrays["object_pose_w"], dtype=np.float64)
     for index, name in enumerate(recording.objects):
         if name in shapes:
@@ -81,19 +84,35 @@ def _add_character(file: _File, skeleton: Skeleton, pos_w_m: Array, quat_w: Arra
 def _add_object(file: _File, body: SceneBody, pose_w: Array, times: int) -> int:
     """A scene object; pose_w (T, 7) position and quaternion."""
     number = len(file.nodes)
-    solid = {
-        "box": lambda: box(body.size_m),
-        "sphere": lambda: ellipsoid(body.size_m * 3),
-        "cylinder": lambda: cylinder(body.size_m[0], body.size_m[1]),
-        "capsule": lambda: capsule(body.size_m[0], (0.0, 0.0, -body.size_m[1]), (0.0, 0.0, body.size_m[1])),
-    }[body.shape]()
+    solids: dict[str, list[Mesh]] = {}
+    for part in body.parts:
+        solids.setdefault(_paint(part.colour), []).append(_solid(part))
     places, turns = pose_w[:, :3][:, AXES], _gltf_quats(normalize(pose_w[:, 3:]))
-    mesh = file.mesh(body.name, {"object": solid})
+    mesh = file.mesh(body.name, {paint: joined(meshes) for paint, meshes in solids.items()})
     node = {"name": body.name, "mesh": mesh, "translation": places[0].tolist(), "rotation": turns[0].tolist()}
     file.nodes.append(node)
     file.animate(number, "translation", times, places)
     file.animate(number, "rotation", times, turns)
     return number
+
+
+def _solid(part: Part) -> Mesh:
+    """A part in its body's frame."""
+    size = part.size_m
+    if part.shape == "box":
+        solid = box(size)
+    elif part.shape == "sphere":
+        solid = ellipsoid(size * 3)
+    elif part.shape == "cylinder":
+        solid = cylinder(size[0], size[1])
+    else:
+        solid = capsule(size[0], (0.0, 0.0, -size[1]), (0.0, 0.0, size[1]))
+    return solid.turned(matrix_from_quat(np.array(part.quat_b))).moved(part.position_b_m)
+
+
+def _paint(colour: tuple[float, float, float] | None) -> str:
+    """Name of the material of a colour."""
+    return OBJECT if colour is None else "object_" + "".join(f"{round(255 * c):02x}" for c in colour)
 
 
 def _gltf_quats(quat: Array) -> Array:

@@ -24,6 +24,10 @@ class Mesh:
         """The same mesh somewhere else."""
         return Mesh(self.vertices_m + np.asarray(position_m, dtype=np.float64), self.normals, self.faces)
 
+    def turned(self, rotation: Array) -> Mesh:
+        """The same mesh turned about the origin by a rotation matrix (3, 3)."""
+        return Mesh(self.vertices_m @ rotation.T, self.normals @ rotation.T, self.faces)
+
 
 def joined(meshes: list[Mesh]) -> Mesh:
     """Several meshes as one."""

@@ -17,7 +17,7 @@ from shared.motion.kinematics import forward_kinematics
 from shared.motion.mesh import Mesh, box, capsule, cylinder, ellipsoid
 from shared.motion.rotations import matrix_from_6d, matrix_from_quat, quat_from_matrix, rotvec_from_matrix
 from shared.motion.skeleton import CANONICAL
-from shared.scenes.schema import parse_scene
+from shared.scenes.files import parse_scene
 
 GLTF_AXES = [1, 2, 0]
 """glTF's x, y, z are our Y (left), Z (up), X (forward)."""

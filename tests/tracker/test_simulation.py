@@ -7,7 +7,7 @@ import pytest
 
 from shared.errors import InvalidInputError
 from shared.motion.ik import standing_clip
-from shared.scenes.schema import load_scene, parse_scene
+from shared.scenes.files import load_scene, parse_scene
 from tracker_service.policy.registry import make_tracker
 from tracker_service.simulation.character import SimulatedCharacter
 from tracker_service.simulation.character_spec import HUMAN

@@ -12,7 +12,7 @@ from safetensors.numpy import load_file
 
 from shared.errors import InvalidInputError
 from shared.motion.ik import standing_clip
-from shared.scenes.schema import load_scene
+from shared.scenes.files import load_scene
 from tracker_service.policy.learned import LearnedTracker, policy_input
 from tracker_service.policy.observations import feedforward_targets
 from tracker_service.simulation.character import SimulatedCharacter

@@ -14,9 +14,10 @@ from shared.protocol.messages import CreateCharacter, Render, StateFrame, Video
 from shared.protocol.transport import ServiceClient
 from tests.tracker_service.support import standing_plan, step
 from tracker_service.rendering import render
+from tracker_service.rendering.drawn import draw_frames
 from tracker_service.rendering.render import Backend, RenderingError, VideoRenderer
 from tracker_service.rendering.render_worker import with_captions
-from tracker_service.rendering.scene_shapes import SceneShape
+from tracker_service.rendering.scene_shapes import OBJECT_RGBA, SceneShape
 from tracker_service.rendering.shadows import floor_projection
 from tracker_service.rendering.video_job import VideoJob, camera_path, load_job, save_job
 
@@ -125,3 +126,13 @@ def test_a_shadow_lies_on_the_floor_along_the_light() -> None:
     x, y, z = floor_projection((0.5, -0.25, -1.0)) @ np.array([1.0, 2.0, 2.0])
     np.testing.assert_allclose([x, y], [2.0, 1.5])
     assert 0 < z < 0.01
+
+
+def test_objects_are_drawn_too_and_hide_what_is_behind_them() -> None:
+    seen = []
+    for place in ([1.2, 0.9, 0.2, 1, 0, 0, 0], [50.0, 0.0, 0.2, 1, 0, 0, 0]):
+        frame = next(draw_frames(job(object_pose_w=np.tile(place, (6, 1, 1)))))
+        red, green, blue = (round(255 * c) for c in OBJECT_RGBA[:3])
+        seen.append(int((frame == [red, green, blue]).all(axis=-1).sum()))
+    assert seen[0] > 100
+    assert seen[0] > 10 * seen[1]

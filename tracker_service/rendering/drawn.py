@@ -8,8 +8,11 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw
 
+from shared.motion.mesh import box, capsule, cylinder, ellipsoid
+from shared.motion.rotations import matrix_from_quat
 from shared.motion.skeleton import Skeleton, skeleton
-from tracker_service.rendering.video_job import VideoJob, camera_path
+from tracker_service.rendering.scene_shapes import SceneShape
+from tracker_service.rendering.video_job import VideoJob, camera_distance_m, camera_path
 
 FloatArray = npt.NDArray[np.floating]
 Frame = npt.NDArray[np.uint8]
@@ -48,13 +51,61 @@ def draw_frames(job: VideoJob) -> Iterator[Frame]:
     """(height, width, 3) uint8 frames of the job, without captions."""
     bones = skeleton(job.skeleton_id)
     lookat, azimuth = camera_path(job)
-    elevation, distance = (np.deg2rad(-89.0), 6.0) if job.camera == "top" else (np.deg2rad(-14.0), 4.0)
+    elevation, distance = np.deg2rad(-89.0 if job.camera == "top" else -14.0), camera_distance_m(job)
+    solids = [(shape, _corners(shape)) for shape in job.shapes]
     for t in range(len(job.body_pos_w_m)):
         camera = _Camera(lookat[t], float(azimuth[t]), float(elevation), distance, (job.width, job.height))
-        yield _draw(bones, job.body_pos_w_m[t].astype(np.float64), camera, job)
+        poses = dict(zip(job.objects, job.object_pose_w[t].astype(np.float64), strict=True))
+        placed = [(_placed(corners, poses.get(shape.body or "")), shape.rgba) for shape, corners in solids]
+        yield _draw(bones, job.body_pos_w_m[t].astype(np.float64), placed, camera, job)
 
 
-def _draw(bones: Skeleton, joints: FloatArray, camera: _Camera, job: VideoJob) -> Frame:
+def _corners(shape: SceneShape) -> FloatArray:
+    """(V, 3) points of a shape's surface in its object's frame."""
+    size = shape.size_m
+    if shape.kind == "box":
+        points = box(size).vertices_m
+    elif shape.kind == "cylinder":
+        points = cylinder(size[0], size[1]).vertices_m
+    elif shape.kind == "capsule":
+        points = capsule(size[0], (0.0, 0.0, -size[1]), (0.0, 0.0, size[1])).vertices_m
+    else:
+        points = ellipsoid(size if shape.kind == "ellipsoid" else size * 3).vertices_m
+    return points @ matrix_from_quat(np.array(shape.quat_b)).T + np.array(shape.pos_b_m)
+
+
+def _placed(points: FloatArray, pose_w: FloatArray | None) -> FloatArray:
+    """Points of an object in the world; pose_w (7,), None for what is fixed in the world."""
+    if pose_w is None:
+        return points
+    return points @ matrix_from_quat(pose_w[3:]).T + pose_w[:3]
+
+
+def _hull(points: FloatArray) -> list[tuple[float, float]]:
+    """Corners of the convex hull of points (N, 2), by Andrew's monotone chain."""
+    ordered = sorted({(float(x), float(y)) for x, y in points})
+
+    def chain(way: list[tuple[float, float]]) -> list[tuple[float, float]]:
+        out: list[tuple[float, float]] = []
+        for x, y in way:
+            while len(out) > 1:
+                (ax, ay), (bx, by) = out[-2], out[-1]
+                if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0:
+                    break
+                out.pop()
+            out.append((x, y))
+        return out[:-1]
+
+    return chain(ordered) + chain(ordered[::-1])
+
+
+def _draw(
+    bones: Skeleton,
+    joints: FloatArray,
+    solids: list[tuple[FloatArray, tuple[float, ...]]],
+    camera: _Camera,
+    job: VideoJob,
+) -> Frame:
     image = Image.new("RGB", (job.width, job.height), _BACKGROUND)
     pen = ImageDraw.Draw(image)
     _draw_floor(pen, camera, joints[0])
@@ -62,6 +113,11 @@ def _draw(bones: Skeleton, joints: FloatArray, camera: _Camera, job: VideoJob) -
     pixels, depth = camera.project(flat)
     for child in range(1, len(bones)):
         _limb(pen, pixels, depth, bones.parents[child], child, camera.focal, _SHADOW)
+    body_m = float(camera.project(joints[0])[1])
+    hulls = sorted(((camera.project(points), rgba) for points, rgba in solids), key=lambda h: -float(h[0][1].mean()))
+    for (outline, depths), rgba in hulls:
+        if depths.mean() > body_m:
+            _solid(pen, outline, depths, rgba)
     pixels, depth = camera.project(joints)
     order = sorted(range(1, len(bones)), key=lambda j: -float(depth[j]))
     for child in order:
@@ -72,7 +128,18 @@ def _draw(bones: Skeleton, joints: FloatArray, camera: _Camera, job: VideoJob) -
         radius = 0.11 * camera.focal / depth[head]
         x, y = pixels[head] - np.array([0.0, 0.06 * camera.focal / depth[head]])
         pen.ellipse([x - radius, y - radius, x + radius, y + radius], fill=_COLOURS["mid"])
+    for (outline, depths), rgba in hulls:
+        if depths.mean() <= body_m:
+            _solid(pen, outline, depths, rgba)
     return np.asarray(image, dtype=np.uint8)
+
+
+def _solid(pen: ImageDraw.ImageDraw, pixels: FloatArray, depth: FloatArray, rgba: tuple[float, ...]) -> None:
+    """The silhouette of a solid from its projected points."""
+    if float(depth.min()) > _NEAR_M:
+        red, green, blue = (round(255 * c) for c in rgba[:3])
+        edge = (red * 2 // 3, green * 2 // 3, blue * 2 // 3)
+        pen.polygon(_hull(pixels), fill=(red, green, blue), outline=edge)
 
 
 def _limb(

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from shared.motion.skeleton import skeleton
-from tracker_service.rendering.video_job import TICK_HZ, VideoJob, camera_path, load_job
+from tracker_service.rendering.video_job import TICK_HZ, VideoJob, camera_distance_m, camera_path, load_job
 
 Frame = npt.NDArray[np.uint8]
 BACKENDS = ("egl", "osmesa", "drawn")
@@ -37,7 +37,7 @@ def mujoco_frames(job: VideoJob) -> Iterator[Frame]:
     objects = [(o, int(model.body(f"object:{n}").mocapid[0])) for o, n in enumerate(job.objects) if n in shown]
     lookat, azimuth = camera_path(job)
     camera = mujoco.MjvCamera()
-    camera.distance, camera.elevation = (6.0, -89.0) if job.camera == "top" else (4.0, -14.0)
+    camera.distance, camera.elevation = camera_distance_m(job), -89.0 if job.camera == "top" else -14.0
     mujoco.mj_forward(model, data)
     renderer = mujoco.Renderer(model, job.height, job.width)
     # Shadow maps would draw the scene three times over, most of the time of a frame without a graphics card.

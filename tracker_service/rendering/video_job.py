@@ -101,6 +101,11 @@ def camera_path(job: VideoJob) -> tuple[FloatArray, FloatArray]:
     return lookat, np.full(len(pelvis), start + np.pi / 2)
 
 
+def camera_distance_m(job: VideoJob) -> float:
+    """How far the camera stays away: farther in a scene with objects, so that they are seen."""
+    return (6.0 if job.camera == "top" else 4.0) + (1.8 if job.shapes else 0.0)
+
+
 def _forward_xy(job: VideoJob) -> FloatArray:
     """(T, 2) horizontal facing from the pelvis rotation: its X axis."""
     w, x, y, z = np.moveaxis(job.body_quat_w[:, 0].astype(np.float64), -1, 0)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import threading
 
 from shared.plugins.interfaces import Tracker
-from shared.scenes.schema import Scene, load_scene
-from tracker_service.rendering.scene_shapes import SceneShape
+from shared.scenes.files import load_scene
+from shared.scenes.schema import Scene
+from tracker_service.rendering.scene_shapes import OBJECT_RGBA, SceneShape
 from tracker_service.simulation.character import SimulatedCharacter
 from tracker_service.simulation.character_spec import character
 from tracker_service.simulation.humanoid import humanoid
@@ -46,4 +47,11 @@ class Worlds:
 
 def scene_shapes(scene: Scene) -> tuple[SceneShape, ...]:
     """The scene's objects as the renderer draws them; each follows the pose that the log has for it."""
-    return tuple(SceneShape(body.name, body.shape, tuple(body.size_m)) for body in scene.bodies)
+    return tuple(
+        SceneShape(
+            body.name, part.shape, part.size_m, part.position_b_m, part.quat_b,
+            OBJECT_RGBA if part.colour is None else (*part.colour, 1.0),
+        )
+        for body in scene.bodies
+        for part in body.parts
+    )  # fmt: skip

@@ -9,15 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.scenes.schema import Scene
-from tracker_service.simulation.humanoid import BODY_BIT, WORLD_BIT, Humanoid, body_ids, humanoid_spec
-
-_SHAPES = {
-    "box": mujoco.mjtGeom.mjGEOM_BOX,
-    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
-    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
-    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
-}
-OBJECT_PREFIX = "object_"
+from tracker_service.simulation.humanoid import Humanoid, body_ids, humanoid_spec
+from tracker_service.simulation.scene_objects import FLOOR_BIT, OBJECT_PREFIX, add_object
 
 
 @dataclass(frozen=True)
@@ -41,23 +34,9 @@ class SceneModel:
 def build_scene(human: Humanoid, scene: Scene) -> SceneModel:
     """Compile the humanoid and a scene's objects; objects collide with the humanoid, the floor and each other."""
     spec = humanoid_spec(human)
+    spec.geom("floor").contype |= FLOOR_BIT
     for item in scene.bodies:
-        half = np.deg2rad(item.heading_deg) / 2
-        body = spec.worldbody.add_body(
-            name=OBJECT_PREFIX + item.name, pos=list(item.position_w_m), quat=[np.cos(half), 0, 0, np.sin(half)]
-        )
-        if item.mass_kg is not None:
-            body.add_freejoint(name=OBJECT_PREFIX + item.name)
-        body.add_geom(
-            name=OBJECT_PREFIX + item.name,
-            type=_SHAPES[item.shape],
-            size=[*item.size_m, 0.0, 0.0][:3],
-            mass=item.mass_kg if item.mass_kg is not None else 1.0,
-            friction=[item.friction, 0.005, 0.0001],
-            contype=WORLD_BIT | BODY_BIT,
-            conaffinity=WORLD_BIT | BODY_BIT,
-            rgba=[0.62, 0.45, 0.34, 1],
-        )
+        add_object(spec, item)
     model = spec.compile()
     names = tuple(item.name for item in scene.bodies)
     ids = np.array([model.body(OBJECT_PREFIX + name).id for name in names], dtype=np.int64)

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from shared.motion.ik import standing_clip
-from shared.scenes.schema import load_scene
+from shared.scenes.files import load_scene
 from tracker_service.policy.registry import make_tracker
 from tracker_service.simulation.character import SUBSTEPS, SimulatedCharacter
 from tracker_service.simulation.character_spec import character as character_spec

@@ -15,7 +15,7 @@ export class SceneObjects {
     this.root = new THREE.Group();
     this.bodies = new Map(scenes.flatMap(({ bodies }) => bodies.map((body) => [body.name, body])));
     this.meshes = new Map();
-    this.material = new THREE.MeshStandardMaterial({ color: 0x8a94a6, roughness: 0.75 });
+    this.paints = new Map();
     scene.add(this.root);
   }
 
@@ -31,12 +31,29 @@ export class SceneObjects {
     });
   }
 
+  /** The material of a colour, [red, green, blue] from 0 to 1, or null for the usual one. */
+  paint(colour) {
+    const key = String(colour);
+    if (!this.paints.has(key)) {
+      const color = new THREE.Color(0x8a94a6);
+      if (colour !== null) color.setRGB(...colour, THREE.SRGBColorSpace);
+      this.paints.set(key, new THREE.MeshStandardMaterial({ color, roughness: 0.75 }));
+    }
+    return this.paints.get(key);
+  }
+
   mesh(name) {
     if (this.meshes.has(name)) return this.meshes.get(name);
     const body = this.bodies.get(name);
     if (body === undefined) return null;
-    const mesh = new THREE.Mesh(SHAPES[body.shape](body.size_m), this.material);
-    mesh.castShadow = mesh.receiveShadow = true;
+    const mesh = new THREE.Group();
+    for (const part of body.parts) {
+      const solid = new THREE.Mesh(SHAPES[part.shape](part.size_m), this.paint(part.colour));
+      solid.position.set(...part.position_b_m);
+      solid.rotation.set(...part.rotation_deg.map(THREE.MathUtils.degToRad), "ZYX");
+      solid.castShadow = solid.receiveShadow = true;
+      mesh.add(solid);
+    }
     this.root.add(mesh);
     this.meshes.set(name, mesh);
     return mesh;
