@@ -14,54 +14,23 @@ from shared.errors import InvalidInputError
 from shared.motion.body import origin_start
 from shared.motion.clip import MotionClip
 from shared.motion.ik import clip_from_positions
-from shared.motion.io.asfamc import read_asf_amc
-from shared.motion.io.bvh import read_bvh, write_bvh
-from shared.motion.io.raw import RawMotion
-from shared.motion.io.smpl import read_smpl_npz
+from shared.motion.io.bvh import write_bvh
+from shared.motion.io.files import SUFFIXES, read_motion
+from shared.motion.io.options import ReadOptions
 
 FPS = 30.0
-SUFFIXES = (".bvh", ".amc", ".npz")
 _REST_JUMP_M = 0.25
 
 
-def read_motion(path: str | Path, amc_fps: float = FPS) -> RawMotion:
-    """Read a BVH, an AMC (with its ASF beside it) or an SMPL npz.
-
-    An AMC's skeleton is the ASF in its folder whose name begins the AMC's name, or the only one there.
-
-    Args:
-        path: motion file.
-        amc_fps: rate of AMC files, which carry none.
-
-    Raises:
-        InvalidInputError: unknown type, no skeleton, or a file that cannot be read.
-    """
-    path = Path(path)
-    suffix = path.suffix.lower()
-    if not path.is_file():
-        raise InvalidInputError(f"{path} is not a file", field="path")
-    if suffix == ".bvh":
-        return read_bvh(path)
-    if suffix == ".npz":
-        return read_smpl_npz(path)
-    if suffix == ".amc":
-        skeletons = sorted(path.parent.glob("*.asf"))
-        named = [s for s in skeletons if path.stem.startswith(s.stem)]
-        if not named and len(skeletons) != 1:
-            raise InvalidInputError(f"no ASF skeleton for {path.name} in its folder", field="path")
-        return read_asf_amc((named or skeletons)[-1], path, amc_fps)
-    raise InvalidInputError(f"{path.name}: unknown type", field="path", allowed=", ".join(SUFFIXES))
-
-
 def load_clip(
-    path: str | Path, calibration: Calibration | None = None, amc_fps: float = FPS
+    path: str | Path, calibration: Calibration | None = None, options: ReadOptions | None = None
 ) -> tuple[MotionClip, Quality]:
     """A recording as a clip of the canonical skeleton at 30 fps, on the floor, starting over the origin facing +X.
 
     Raises:
         InvalidInputError: it cannot be read, or is shorter than three frames.
     """
-    raw = read_motion(path, amc_fps)
+    raw = read_motion(path, options)
     if len(raw) < 4:
         raise InvalidInputError(f"{Path(path).name}: {len(raw)} frames are too few", field="path", allowed=">= 4")
     positions = retarget(raw, calibration if calibration is not None else calibrate([raw]))

@@ -14,7 +14,7 @@ import numpy as np
 
 from shared.errors import InvalidInputError
 from shared.motion.body import SIDES, Array, Bools, J
-from shared.motion.io.landmarks import find_landmarks, find_segments, leg_length
+from shared.motion.io.landmarks import leg_length
 from shared.motion.io.raw import RawMotion
 from shared.motion.rotations import (
     matrix_between,
@@ -67,8 +67,7 @@ def calibrate(raws: Sequence[RawMotion]) -> Calibration:
 
     The pitch of the feet is then corrected by what the planted feet show.
     """
-    marks = find_landmarks(raws[0].names, raws[0].parents)
-    segments = find_segments(raws[0].names, raws[0].parents, marks, raws[0].offsets_m)
+    marks, segments = raws[0].landmarks(), raws[0].segmented()
     if raws[0].rotations_w is None:
         raise InvalidInputError(f"{raws[0].source}: no rotations to calibrate on", field="path")
     leg = float(np.mean([leg_length(r.positions_w_m, marks) for r in raws]))
@@ -191,8 +190,7 @@ def retarget(raw: RawMotion, calibration: Calibration | None = None) -> Array:
     if calibration is None:
         calibration = calibrate([raw])
     raw = raw.at_rate(FPS)
-    marks = find_landmarks(raw.names, raw.parents)
-    segments = find_segments(raw.names, raw.parents, marks, raw.offsets_m)
+    marks, segments = raw.landmarks(), raw.segmented()
     p, g = raw.positions_w_m, raw.rotations_w
     assert g is not None
     world = {name: g[:, joint] @ calibration.segments[name] for name, joint in segments.items()}

@@ -46,9 +46,9 @@ class Take:
     def read(self) -> RawMotion:
         """The motion as recorded."""
         if self.asf is not None:
-            return read_asf_amc(self.asf, self.path, FPS)
+            return read_asf_amc(self.asf, self.path, FPS, up="y")
         if self.path.suffix == ".npz":
-            return read_smpl_npz(self.path)
+            return read_smpl_npz(self.path, up="z")
         return read_bvh(self.path, up="y")
 
 

@@ -12,7 +12,8 @@ from shared.motion.clip import MotionClip
 from shared.motion.ik import standing_clip
 from shared.motion.io.asfamc import read_asf_amc
 from shared.motion.io.bvh import read_bvh, write_bvh
-from shared.motion.io.landmarks import find_landmarks, normalise
+from shared.motion.io.landmarks import find_landmarks
+from shared.motion.io.names import normalise
 from shared.motion.io.raw import euler_matrix
 from shared.motion.io.smpl import read_smpl_npz
 from shared.motion.kinematics import forward_kinematics

@@ -17,8 +17,9 @@ import typer
 
 from shared.console import errors_for_people
 from shared.data.corpus import Corpus
-from shared.data.importer import SUFFIXES, load_clip
+from shared.data.importer import load_clip
 from shared.errors import InvalidInputError
+from shared.motion.io.files import SUFFIXES
 from shared.motion.resampling import resample
 from tracker_service.policy.learned import WEIGHTS, LearnedTracker
 from tracker_service.simulation.character_spec import HUMAN

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from shared.errors import InvalidInputError
-from shared.motion.io.bvh import assemble
-from shared.motion.io.raw import Array, RawMotion, compose, euler_matrix
+from shared.motion.io.assemble import assemble
+from shared.motion.io.landmarks import Array
+from shared.motion.io.options import ReadOptions, rate_of
+from shared.motion.io.raw import RawMotion, compose, euler_matrix
+from shared.motion.io.text import number, read_lines
 
 _INCH_M = 0.0254
 
@@ -22,23 +27,41 @@ class _Bone:
     dof: list[str]
 
 
-def _axis_matrix(angles_deg: Array, order: str) -> Array:
+@dataclass
+class _Skeleton:
+    """`unit_m`: metres per unit, None where the file does not say; `radians`: what its angles are in."""
+
+    bones: dict[str, _Bone] = field(default_factory=dict)
+    links: list[tuple[str, str]] = field(default_factory=list)
+    unit_m: float | None = None
+    radians: bool = False
+    root_order: list[str] = field(default_factory=lambda: ["tx", "ty", "tz", "rx", "ry", "rz"])
+    root_axis: Array = field(default_factory=lambda: np.eye(3))
+
+
+@dataclass
+class _Motion:
+    """Values per bone, (T, channels); `radians` and `fps` None where the file does not say."""
+
+    values: dict[str, Array]
+    radians: bool | None
+    fps: float | None
+
+
+def _axis_matrix(angles: Array, order: str, radians: bool) -> Array:
     """Rotation of an ASF axis statement: 'XYZ' turns about X first, so the product runs the other way round."""
     order = order.lower()
-    return euler_matrix(order[::-1], np.radians(np.asarray(angles_deg)[..., ::-1]))
+    angles = np.asarray(angles)[..., ::-1]
+    return euler_matrix(order[::-1], angles if radians else np.radians(angles))
 
 
-def _read_asf(path: Path) -> tuple[dict[str, _Bone], list[tuple[str, str]], float, list[str], Array]:
-    """Bones by name, (child, parent) pairs in order, metres per unit, the root's channels and its axis matrix."""
-    bones: dict[str, _Bone] = {}
-    links: list[tuple[str, str]] = []
-    unit = 1.0
-    root_order = ["tx", "ty", "tz", "rx", "ry", "rz"]
-    root_axis = np.eye(3)
+def _read_asf(path: Path) -> _Skeleton:
+    """An ASF file. Its angles are in degrees unless `:units` says `angle rad`."""
+    out = _Skeleton()
     section = ""
     name, bone = "", _Bone(np.zeros(3), 0.0, np.eye(3), [])
     axis_order, orientation = "XYZ", np.zeros(3)
-    for line in path.read_text(encoding="latin-1").splitlines():
+    for index, line in enumerate(read_lines(path)):
         words = line.split()
         if not words or words[0].startswith("#"):
             continue
@@ -46,91 +69,164 @@ def _read_asf(path: Path) -> tuple[dict[str, _Bone], list[tuple[str, str]], floa
             section = words[0][1:].lower()
             continue
         key = words[0].lower()
-        if section == "units" and key == "length":
-            unit = _INCH_M / float(words[1])
-        elif section == "root":
-            if key == "order":
-                root_order = [w.lower() for w in words[1:]]
-            elif key == "axis":
-                axis_order = words[1]
-            elif key == "orientation":
-                orientation = np.array([float(w) for w in words[1:4]])
-            root_axis = _axis_matrix(orientation, axis_order)
-        elif section == "bonedata":
-            if key == "begin":
-                bone = _Bone(np.zeros(3), 0.0, np.eye(3), [])
-            elif key == "name":
-                name = words[1]
-            elif key == "direction":
-                bone.direction = np.array([float(w) for w in words[1:4]])
-            elif key == "length":
-                bone.length = float(words[1])
-            elif key == "axis":
-                bone.axis = _axis_matrix(np.array([float(w) for w in words[1:4]]), words[4])
-            elif key == "dof":
-                bone.dof = [w.lower() for w in words[1:]]
-            elif key == "end":
-                bones[name] = bone
-        elif section == "hierarchy" and key not in ("begin", "end"):
-            links.extend((child, words[0]) for child in words[1:])
-    if not bones or not links:
-        raise InvalidInputError(f"{path.name}: not an ASF skeleton", field="asf")
-    return bones, links, unit, root_order, root_axis
+        try:
+            if section == "units" and key == "length":
+                out.unit_m = _INCH_M / number(words[1])
+            elif section == "units" and key == "angle":
+                out.radians = words[1].lower().startswith("rad")
+            elif section == "root":
+                if key == "order":
+                    out.root_order = [w.lower() for w in words[1:]]
+                elif key == "axis":
+                    axis_order = words[1]
+                elif key == "orientation":
+                    orientation = np.array([number(w) for w in words[1:4]])
+                out.root_axis = _axis_matrix(orientation, axis_order, out.radians)
+            elif section == "bonedata":
+                if key == "begin":
+                    bone = _Bone(np.zeros(3), 0.0, np.eye(3), [])
+                elif key == "name":
+                    name = words[1]
+                elif key == "direction":
+                    bone.direction = np.array([number(w) for w in words[1:4]])
+                elif key == "length":
+                    bone.length = number(words[1])
+                elif key == "axis":
+                    bone.axis = _axis_matrix(np.array([number(w) for w in words[1:4]]), words[4], out.radians)
+                elif key == "dof":
+                    bone.dof = [w.lower() for w in words[1:]]
+                elif key == "end":
+                    out.bones[name] = bone
+            elif section == "hierarchy" and key not in ("begin", "end"):
+                out.links.extend((child, words[0]) for child in words[1:])
+        except (ValueError, IndexError, KeyError, ZeroDivisionError) as error:
+            raise InvalidInputError(
+                f"{path.name}: line {index + 1}: {line.strip()[:60]!r} cannot be read ({error})", field="asf"
+            ) from error
+    if not out.bones or not out.links:
+        raise InvalidInputError(f"{path.name}: not an ASF skeleton (no bones or no hierarchy)", field="asf")
+    return out
 
 
-def _read_amc(path: Path) -> dict[str, Array]:
-    """Values per bone, (T, channels)."""
+def _read_amc(path: Path, widths: Mapping[str, int]) -> _Motion:
+    """An AMC file. `widths`: how many values each bone has; what is not among them is passed over."""
     values: dict[str, list[list[float]]] = {}
+    seen: set[str] = set()
     frames = 0
-    for line in path.read_text(encoding="latin-1").splitlines():
+    started = 0
+    radians: bool | None = None
+    fps: float | None = None
+
+    def fail(index: int, what: str) -> InvalidInputError:
+        return InvalidInputError(f"{path.name}: line {index + 1}: {what}", field="amc")
+
+    for index, line in enumerate(read_lines(path)):
         words = line.split()
-        if not words or words[0][0] in "#:":
+        if not words or words[0].startswith("#"):
+            continue
+        if words[0].startswith(":"):
+            key = words[0][1:].lower()
+            if key in ("radians", "degrees"):
+                radians = key == "radians"
+            elif key in ("samples-per-second", "samplespersecond", "fps", "frame-rate", "framerate") and words[1:]:
+                try:
+                    fps = number(words[1])
+                except ValueError:
+                    raise fail(index, f"the rate {words[1]!r} is not a number") from None
             continue
         if len(words) == 1 and words[0].isdigit():
-            frames += 1
-        else:
-            values.setdefault(words[0], []).append([float(w) for w in words[1:]])
-    if frames == 0 or any(len(v) != frames for v in values.values()):
-        raise InvalidInputError(f"{path.name}: frames are missing values", field="amc")
-    return {name: np.array(rows) for name, rows in values.items()}
+            if frames and seen != set(values):
+                raise fail(started, f"frame {frames} has no {', '.join(sorted(set(values) - seen))}")
+            frames, started, seen = frames + 1, index, set()
+            continue
+        if not frames:
+            raise fail(index, f"{words[0]!r} before the first frame number")
+        if words[0] not in widths:
+            continue
+        try:
+            row = [number(w) for w in words[1:]]
+        except ValueError:
+            raise fail(index, f"{line.strip()[:60]!r} has a value that is not a number") from None
+        if len(row) != widths[words[0]]:
+            raise fail(index, f"{words[0]} has {len(row)} values where its skeleton has {widths[words[0]]}")
+        if not all(math.isfinite(v) for v in row):
+            raise fail(index, f"a value of {words[0]} is not finite")
+        if words[0] in seen or (frames > 1 and words[0] not in values):
+            raise fail(index, f"{words[0]} does not occur once in every frame")
+        seen.add(words[0])
+        values.setdefault(words[0], []).append(row)
+    if not frames or "root" not in values:
+        raise InvalidInputError(f"{path.name}: no frames with a root in it", field="amc")
+    if seen != set(values):
+        raise fail(
+            started, f"the last frame has no {', '.join(sorted(set(values) - seen))}: the file seems to be cut off"
+        )
+    return _Motion({name: np.array(rows) for name, rows in values.items()}, radians, fps)
 
 
-def read_asf_amc(asf: str | Path, amc: str | Path, fps: float, unit_m: float | None = None) -> RawMotion:
+def _ordered(links: list[tuple[str, str]], path: Path, bones: Mapping[str, _Bone]) -> dict[str, str]:
+    """Parent of each bone, parents before their children."""
+    out: dict[str, str] = {}
+    left = list(links)
+    while left:
+        now = [(child, parent) for child, parent in left if parent == "root" or parent in out]
+        if not now:
+            raise InvalidInputError(f"{path.name}: {left[0][1]} of the hierarchy hangs on no root", field="asf")
+        for child, parent in now:
+            if child in out or child not in bones:
+                raise InvalidInputError(f"{path.name}: {child} of the hierarchy is not defined once", field="asf")
+            out[child] = parent
+        left = [link for link in left if link not in now]
+    return out
+
+
+def read_asf_amc(
+    asf: str | Path,
+    amc: str | Path,
+    fps: float | None = None,
+    unit_m: float | None = None,
+    up: str = "auto",
+    joints: Mapping[str, str] | None = None,
+) -> RawMotion:
     """Read an ASF skeleton and one AMC motion of it. Joint `x` is the far end of the bone `x`; `root` the root.
 
     Args:
-        asf: skeleton file; Y up.
-        amc: motion file; it carries no rate.
-        fps: its frames per second.
+        asf: skeleton file.
+        amc: motion file; few carry a rate.
+        fps: its frames per second; None takes the file's, or assumes 30 and says so.
         unit_m: metres per unit; None takes 0.0254 m over the ASF's `length` unit (CMU, HDM05: 0.45 inch).
+        up: vertical axis, or "auto".
+        joints: our joint names to the skeleton's (the far ends of its bones).
 
     Raises:
-        InvalidInputError: a malformed file, or a skeleton without recognisable legs.
+        InvalidInputError: a malformed file (the message names the line), or a skeleton without recognisable legs.
     """
     asf, amc = Path(asf), Path(amc)
-    try:
-        bones, links, unit, root_order, root_axis = _read_asf(asf)
-        motion = _read_amc(amc)
-    except (ValueError, IndexError) as error:
-        raise InvalidInputError(f"{amc.name}: not readable ASF + AMC ({error})", field="amc") from error
-    names = ["root"] + [child for child, _ in links]
-    if len(set(names)) != len(names) or any(n not in bones for n in names[1:]):
-        raise InvalidInputError(f"{asf.name}: the hierarchy names bones that are not defined", field="asf")
+    options = ReadOptions(fps, up, unit_m, joints)
+    skeleton = _read_asf(asf)
+    bones = skeleton.bones
+    parent_of = _ordered(skeleton.links, asf, bones)
+    widths = {name: len(bone.dof) for name, bone in bones.items()} | {"root": len(skeleton.root_order)}
+    motion = _read_amc(amc, widths)
+    rate, warnings = rate_of(amc.name, motion.fps, options)
+    names = ("root", *parent_of)
     index = {name: i for i, name in enumerate(names)}
-    parents = (-1,) + tuple(index[parent] for _, parent in links)
-    if "root" not in motion or any(p >= i for i, p in enumerate(parents)):
-        raise InvalidInputError(f"{amc.name}: no root, or bones out of order", field="amc")
-    frames = len(motion["root"])
+    parents = (-1, *(index[parent] for parent in parent_of.values()))
+    frames = len(motion.values["root"])
+    in_radians = skeleton.radians if motion.radians is None else motion.radians
+
+    def radians(angles: Array) -> Array:
+        return angles if in_radians else np.asarray(np.radians(angles))
 
     # The far end of bone x moves with x's own rotation, while in a joint tree it would move with its parent's:
     # so the rotation of x is applied first and its end is placed with it.
-    root = motion["root"]
-    place = {c: root[:, i] for i, c in enumerate(root_order)}
-    position = np.stack([place["tx"], place["ty"], place["tz"]], axis=-1)
-    turn = [c for c in root_order if c[0] == "r"]
-    rotation = euler_matrix("".join(c[1] for c in turn)[::-1], np.radians(np.stack([place[c] for c in turn[::-1]], -1)))
+    root = motion.values["root"]
+    place = {c: root[:, i] for i, c in enumerate(skeleton.root_order)}
+    position = np.stack([place.get(c, np.zeros(frames)) for c in ("tx", "ty", "tz")], axis=-1)
+    turn = [c for c in skeleton.root_order if c[0] == "r"]
+    rotation = euler_matrix("".join(c[1] for c in turn)[::-1], radians(np.stack([place[c] for c in turn[::-1]], -1)))
     local = np.broadcast_to(np.eye(3), (frames, len(names), 3, 3)).copy()
-    local[:, 0] = root_axis @ rotation @ root_axis.T
+    local[:, 0] = skeleton.root_axis @ rotation @ skeleton.root_axis.T
     offsets = np.zeros((len(names), 3))
     for name, i in index.items():
         if name == "root":
@@ -138,9 +234,9 @@ def read_asf_amc(asf: str | Path, amc: str | Path, fps: float, unit_m: float | N
         bone = bones[name]
         offsets[i] = bone.direction * bone.length
         dof = [d for d in bone.dof if d[0] == "r"]
-        if name in motion and dof:
+        if name in motion.values and dof:
             columns = [bone.dof.index(d) for d in dof]
-            angles = np.radians(motion[name][:, columns])
+            angles = radians(motion.values[name][:, columns])
             m = euler_matrix("".join(d[1] for d in dof)[::-1], angles[:, ::-1])
             local[:, i] = bone.axis @ m @ bone.axis.T
     _, world = compose(parents, offsets, position, local)
@@ -148,6 +244,10 @@ def read_asf_amc(asf: str | Path, amc: str | Path, fps: float, unit_m: float | N
     positions[:, 0] = position
     for i in range(1, len(names)):
         positions[:, i] = positions[:, parents[i]] + world[:, i] @ offsets[i]
-    return assemble(
-        tuple(names), parents, offsets, positions, world, fps, str(amc), "y", unit if unit_m is None else unit_m
-    )
+    try:
+        return assemble(
+            names, parents, offsets, positions, world, rate, str(amc), options,
+            unit_m=skeleton.unit_m, ends=True, warnings=warnings,
+        )  # fmt: skip
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{amc.name}: {error.message}", field=error.field, allowed=error.allowed) from error

@@ -2,148 +2,140 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from shared.errors import InvalidInputError
 from shared.motion.clip import MotionClip
-from shared.motion.io.landmarks import find_landmarks, leg_length
-from shared.motion.io.raw import (
-    Y_UP_TO_Z_UP,
-    Array,
-    RawMotion,
-    accumulate,
-    compose,
-    euler_matrix,
-    guess_unit_m,
-    guess_up_axis,
-    to_z_up,
-)
+from shared.motion.io.assemble import assemble
+from shared.motion.io.axes import Y_UP_TO_Z_UP
+from shared.motion.io.bvh_text import BvhText, read_bvh_text
+from shared.motion.io.landmarks import Array, find_landmarks
+from shared.motion.io.options import ReadOptions, rate_of
+from shared.motion.io.raw import RawMotion, compose, euler_matrix
 from shared.motion.rotations import matrix_from_6d
 
-MAX_FRAMES = 1_000_000
 
-
-@dataclass
-class _Hierarchy:
-    names: list[str] = field(default_factory=list)
-    parents: list[int] = field(default_factory=list)
-    offsets: list[list[float]] = field(default_factory=list)
-    channels: list[list[str]] = field(default_factory=list)
-
-
-def _parse_hierarchy(lines: list[str], source: str) -> tuple[_Hierarchy, int]:
-    """The joint tree and the index of the MOTION line."""
-    h = _Hierarchy()
-    stack: list[int] = []
-    pending = -1
-    for number, line in enumerate(lines):
-        words = line.split()
-        if not words:
-            continue
-        key = words[0].upper()
-        if key in ("ROOT", "JOINT", "END"):
-            parent = stack[-1] if stack else -1
-            name = " ".join(words[1:]) if key != "END" else f"{h.names[parent]}_end"
-            h.names.append(name.split(":")[-1])
-            h.parents.append(parent)
-            h.offsets.append([0.0, 0.0, 0.0])
-            h.channels.append([])
-            pending = len(h.names) - 1
-        elif key == "{":
-            stack.append(pending)
-        elif key == "}":
-            stack.pop()
-        elif key == "OFFSET":
-            h.offsets[stack[-1]] = [float(w) for w in words[1:4]]
-        elif key == "CHANNELS":
-            h.channels[stack[-1]] = [w.lower() for w in words[2 : 2 + int(words[1])]]
-        elif key == "MOTION":
-            return h, number
-        elif key != "HIERARCHY":
-            raise InvalidInputError(f"{source}: line {number + 1} is not BVH: {line[:60]!r}", field="path")
-    raise InvalidInputError(f"{source}: no MOTION section", field="path")
-
-
-def read_bvh(path: str | Path, up: str = "auto", unit_m: float | None = None) -> RawMotion:
-    """Read a BVH file.
+def read_bvh(
+    path: str | Path,
+    up: str = "auto",
+    unit_m: float | None = None,
+    fps: float | None = None,
+    joints: Mapping[str, str] | None = None,
+) -> RawMotion:
+    """Read a BVH file. Of several roots the first that has legs is read, and said so in the warnings.
 
     Args:
         path: the file.
-        up: the file's vertical axis, "y", "z" or "auto" (where the hips are above the feet on average).
+        up: the file's vertical axis, or "auto": by the zero pose, else by how the body is held.
         unit_m: metres in one unit of the file; None guesses it from the leg length.
+        fps: frames per second in place of the file's.
+        joints: our joint names to the file's, where its names are not known.
 
     Raises:
-        InvalidInputError: not a BVH file, or a skeleton without recognisable legs.
+        InvalidInputError: not a BVH file (the message names the line), a rate that no recording has, or a skeleton
+            without recognisable legs.
     """
     path = Path(path)
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    options = ReadOptions(fps, up, unit_m, joints)
+    text = read_bvh_text(path)
+    if text.frame_time_s == 0 and fps is None:
+        raise InvalidInputError(f"{path.name}: Frame Time is 0 (give the rate with --fps)", field="fps")
+    said = 1.0 / text.frame_time_s if text.frame_time_s else None
+    wording = f"Frame Time {text.frame_time_s:g} s means" if text.frame_time_s else ""
+    rate, warnings = rate_of(path.name, said, options, wording)
+    joints_read, chosen = _person(text, options)
+    warnings = text.warnings + warnings + chosen
     try:
-        h, start = _parse_hierarchy(lines, path.name)
-        frames = int(lines[start + 1].split(":")[1])
-        frame_time = float(lines[start + 2].split(":")[1])
-        width = sum(len(c) for c in h.channels)
-        if not (0 < frames <= MAX_FRAMES and frame_time > 0):
-            raise InvalidInputError(f"{path.name}: {frames} frames of {frame_time} s", field="path")
-        values = np.array(" ".join(lines[start + 3 :]).split(), dtype=np.float64)
-    except (IndexError, ValueError) as error:
-        raise InvalidInputError(f"{path.name}: not a readable BVH file ({error})", field="path") from error
-    if values.size < frames * width:
-        # A few exporters count one frame too many; whole missing frames are dropped.
-        frames = values.size // width
-    if frames == 0:
-        raise InvalidInputError(f"{path.name}: no frames", field="path")
-    values = values[: frames * width].reshape(frames, width)
-
-    joints = len(h.names)
-    parents = tuple(h.parents)
-    offsets = np.array(h.offsets)
-    local = np.broadcast_to(np.eye(3), (frames, joints, 3, 3)).copy()
-    root = np.broadcast_to(offsets[0], (frames, 3)).copy()
-    column = 0
-    for joint, channels in enumerate(h.channels):
-        block = values[:, column : column + len(channels)]
-        column += len(channels)
-        rotation = [i for i, c in enumerate(channels) if c.endswith("rotation")]
-        if rotation:
-            local[:, joint] = euler_matrix("".join(channels[i][0] for i in rotation), np.radians(block[:, rotation]))
-        if parents[joint] < 0:
-            for i, channel in enumerate(channels):
-                if channel.endswith("position"):
-                    root[:, "xyz".index(channel[0])] = block[:, i]
-    positions, world = compose(parents, offsets, root, local)
-    return assemble(tuple(h.names), parents, offsets, positions, world, 1.0 / frame_time, str(path), up, unit_m)
+        return _motion(text, joints_read, rate, str(path), options, warnings)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{path.name}: {error.message}", field=error.field, allowed=error.allowed) from error
 
 
-def assemble(
-    names: tuple[str, ...],
-    parents: tuple[int, ...],
-    offsets: Array,
-    positions: Array,
-    world: Array | None,
-    fps: float,
-    source: str,
-    up: str,
-    unit_m: float | None,
+def _person(text: BvhText, options: ReadOptions) -> tuple[list[int], list[str]]:
+    """Joints of the root that has legs, and what to say where there are several roots."""
+    tops: list[int] = []
+    for joint, parent in enumerate(text.parents):
+        tops.append(joint if parent < 0 else tops[parent])
+    roots = [joint for joint, parent in enumerate(text.parents) if parent < 0]
+    if len(roots) == 1:
+        return list(range(len(tops))), []
+    people = []
+    for root in roots:
+        own = [joint for joint, top in enumerate(tops) if top == root]
+        index = {joint: i for i, joint in enumerate(own)}
+        parents = tuple(index.get(text.parents[joint], -1) for joint in own)
+        try:
+            find_landmarks(tuple(text.names[joint] for joint in own), parents, options.joints)
+        except InvalidInputError:
+            continue
+        people.append(own)
+    if not people:
+        return list(range(len(tops))), []
+    names = ", ".join(text.full_names[root] for root in roots)
+    which = "the one with legs" if len(people) == 1 else f"the first of {len(people)} with legs"
+    return people[0], [f"{len(roots)} roots ({names}): {text.full_names[people[0][0]]} is read, {which}"]
+
+
+def _motion(
+    text: BvhText, own: list[int], fps: float, source: str, options: ReadOptions, warnings: list[str]
 ) -> RawMotion:
-    """RawMotion from a file's own axes and units; guesses what the caller leaves open."""
-    marks = find_landmarks(names, parents)
-    if up not in ("auto", "y", "z"):
-        raise InvalidInputError(f"unknown up axis {up!r}", field="up", allowed="auto, y, z")
-    if up == "auto":
-        low = np.array([marks["left_ankle"], marks["right_ankle"]])
-        high = np.array([marks["left_hip"], marks["right_hip"]])
-        up = guess_up_axis(positions, low, high)
-    unit = unit_m if unit_m is not None else guess_unit_m(leg_length(positions, marks))
-    if up == "y":
-        positions, world, offsets = to_z_up(positions, world, offsets)
-    # A frame rate within 0.2 % of a whole number is that number: files round the frame time.
-    fps = float(round(fps)) if abs(fps - round(fps)) / fps < 2e-3 else fps
-    return RawMotion(
-        names, parents, offsets * unit, positions * unit, world, accumulate(parents, offsets * unit), fps, source
+    """The motion of the joints `own`, whose channels are found in the rows of the whole file."""
+    index = {joint: i for i, joint in enumerate(own)}
+    parents = tuple(index.get(text.parents[joint], -1) for joint in own)
+    starts = np.cumsum([0, *(len(c) for c in text.channels)])
+    offsets = np.array([text.offsets[joint] for joint in own])
+    frames = len(text.rows)
+    local = np.broadcast_to(np.eye(3), (frames, len(own), 3, 3)).copy()
+    moving: dict[int, Array] = {}
+    for i, joint in enumerate(own):
+        channels = text.channels[joint]
+        block = text.rows[:, starts[joint] : starts[joint + 1]]
+        turns = [k for k, c in enumerate(channels) if c[1:] == "rotation"]
+        if turns:
+            local[:, i] = euler_matrix("".join(channels[k][0] for k in turns), np.radians(block[:, turns]))
+        shifts = {
+            "xyz".index(c[0]): block[:, k] for k, c in enumerate(channels) if c[1:] in ("position", "translation")
+        }
+        if shifts:
+            moving[i] = _shifted(offsets[i], shifts, frames, parents[i] < 0)
+            if parents[i] >= 0 and not np.linalg.norm(offsets[i]) > 1e-9:
+                # The bone's length stands in the channels only: their median makes the zero pose.
+                offsets[i] = np.median(moving[i], axis=0)
+    still = np.broadcast_to(offsets[0], (frames, 3))
+    positions, world = compose(parents, offsets, still, local, moving)
+    return assemble(
+        tuple(text.names[joint] for joint in own),
+        parents,
+        offsets,
+        positions,
+        world,
+        fps,
+        source,
+        options,
+        full_names=[text.full_names[joint] for joint in own],
+        warnings=warnings,
     )
+
+
+def _shifted(offset: Array, shifts: dict[int, Array], frames: int, root: bool) -> Array:
+    """(T, 3) place of a joint in its parent by its position channels.
+
+    They stand in place of the offset. A few programs add them to it: then they are near zero where the bone is not.
+    """
+    place = np.broadcast_to(offset, (frames, 3)).copy()
+    for axis, values in shifts.items():
+        place[:, axis] = values
+    if root:
+        return place
+    given = list(shifts)
+    step = place[:, given]
+    bone = offset[given]
+    if np.median(np.linalg.norm(step, axis=1)) < np.median(np.linalg.norm(step - bone, axis=1)):
+        place[:, given] = step + bone
+    return place
 
 
 def write_bvh(path: str | Path, clip: MotionClip, unit_m: float = 0.01) -> None:

@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from shared.errors import InvalidInputError
-from shared.motion.io.raw import Array
+from shared.motion.io.names import normalise, shared_words, words_of
+
+Array = npt.NDArray[np.float64]
 
 # Names are compared in lower case without separators, prefixes, side words or digits at the end.
 # For each landmark the aliases come in order of preference.
 ALIASES: dict[str, tuple[str, ...]] = {
-    "hip": ("upleg", "thigh", "hip", "upperleg", "femurstart", "hipjoint"),
-    "knee": ("leg", "calf", "knee", "shin", "lowerleg", "lowleg"),
+    "hip": ("upleg", "thigh", "upperleg", "hip", "uleg", "femur", "femurstart", "hipjoint"),
+    "knee": ("leg", "calf", "knee", "shin", "lowerleg", "lowleg", "shank", "lleg", "tibia"),
     "ankle": ("foot", "ankle"),
-    "toe": ("toebase", "toe", "ball", "toes", "foottoe", "footend"),
+    "toe": ("toebase", "toe", "ball", "toes", "forefoot", "foottoe", "footend"),
     "collar": ("shoulder", "clavicle", "collar", "clav"),
-    "shoulder": ("arm", "upperarm", "shoulder", "shldr", "uparm"),
-    "elbow": ("forearm", "elbow", "lowerarm", "lowarm"),
-    "wrist": ("hand", "wrist"),
+    "shoulder": ("arm", "upperarm", "shoulder", "shldr", "uparm", "uarm", "humerus"),
+    "elbow": ("forearm", "elbow", "lowerarm", "lowarm", "farm", "larm", "radius"),
+    "wrist": ("wrist", "hand"),
     "head": ("head",),
-    "neck": ("neck", "lowerneck", "necktwist"),
+    "neck": ("neck", "lowerneck", "necklower", "necktwist"),
 }
-
-_PREFIXES = ("ccbase", "mixamorig", "bip", "def", "valvebiped", "human", "rokoko")
 
 # Acclaim bones name segments; their joint (see asfamc) is the segment's far end.
 ACCLAIM: dict[str, str] = {
@@ -56,84 +57,110 @@ ACCLAIM_SEGMENTS: dict[str, str] = {
     "right_collar": "rclavicle",
 }
 
-_SIDE_LETTER = re.compile(
-    r"^([lr])(hip|thigh|shin|foot|toe|shldr|collar|forearm|hand|knee|ankle|buttock|shoulder|elbow|wrist)"
-)
-
 REQUIRED = tuple(f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle"))
+_PARTS = ("hip", "knee", "ankle", "toe", "collar", "shoulder", "elbow", "wrist")
+MARKS = tuple(f"{side}_{part}" for side in ("left", "right") for part in _PARTS) + ("head", "neck")
 
 
-def normalise(name: str) -> tuple[str, str]:
-    """(side, bare name): side is 'left', 'right' or ''."""
-    words = re.sub(r"([a-z])([A-Z])", r"\1 \2", name.split(":")[-1])
-    parts = [p.lower() for p in re.split(r"[\s_\-.]+", words) if p]
-    side = ""
-    kept = []
-    for part in parts:
-        if part in ("l", "left") and not side:
-            side = "left"
-        elif part in ("r", "right") and not side:
-            side = "right"
-        else:
-            kept.append(part)
-    bare = re.sub(r"\d+$", "", "".join(kept))
-    for prefix in _PREFIXES:
-        if bare.startswith(prefix) and len(bare) > len(prefix) + 1:
-            bare = bare[len(prefix) :]
-    if not side:
-        match = re.match(r"^(left|right)(.+)$", bare) or _SIDE_LETTER.match(bare)
-        if match:
-            side = "left" if match.group(1)[0] == "l" else "right"
-            bare = bare[len(match.group(1)) :]
-    return side, bare
+def mapped(joints: Mapping[str, str], names: Sequence[str]) -> dict[str, int]:
+    """Landmarks from a map of our joint names to those of a file; `left_foot` is our name of the left toe.
+
+    Raises:
+        InvalidInputError: a name of ours that does not exist, or one of theirs that the file does not have.
+    """
+    ours = {m: m for m in MARKS} | {"left_foot": "left_toe", "right_foot": "right_toe"}
+    unused = ("pelvis", "spine1", "spine2", "spine3")
+    plain = {"".join(words_of(name)): i for i, name in reversed(list(enumerate(names)))}
+    out: dict[str, int] = {}
+    for mark, theirs in joints.items():
+        if mark not in ours and mark not in unused:
+            raise InvalidInputError(
+                f"the joint map has {mark!r}, which is no joint of ours (the map goes from our names to the file's)",
+                field="joints",
+                allowed=", ".join(ours),
+            )
+        index = names.index(theirs) if theirs in names else plain.get("".join(words_of(theirs)))
+        if index is None:
+            raise InvalidInputError(
+                f"the joint map says that {mark} is {theirs!r}, which the file does not have",
+                field="joints",
+                allowed=", ".join(names[:60]),
+            )
+        if mark in ours:
+            out[ours[mark]] = index
+    return out
 
 
-def find_landmarks(names: tuple[str, ...], parents: tuple[int, ...]) -> dict[str, int]:
+def find_landmarks(
+    names: tuple[str, ...],
+    parents: tuple[int, ...],
+    joints: Mapping[str, str] | None = None,
+    ends: bool = False,
+) -> dict[str, int]:
     """Index of each landmark (`left_hip`, ..., `head`, `neck`); legs are required, the others come where found.
+
+    Args:
+        joints: a map of our names to the file's, which goes before what the names say.
+        ends: a joint is the far end of the bone it is called after (Acclaim).
 
     Raises:
         InvalidInputError: a hip, knee or ankle cannot be told by its name.
     """
-    if "lfemur" in names and "lhipjoint" in names:
-        return {mark: names.index(bone) for mark, bone in ACCLAIM.items() if bone in names}
-    bare = [normalise(n) for n in names]
+    given = mapped(joints, names) if joints else {}
+    if ends and "lfemur" in names and "lhipjoint" in names:
+        return {mark: names.index(bone) for mark, bone in ACCLAIM.items() if bone in names} | given
+    before, after = shared_words(names)
+    bare = [normalise(name, before, after) for name in names]
     found: dict[str, int] = {}
     for side in ("left", "right"):
-        for part in ("hip", "knee", "ankle", "toe", "collar", "shoulder", "elbow", "wrist"):
+        for part in _PARTS:
             for alias in ALIASES[part]:
                 hits = [i for i, b in enumerate(bare) if b == (side, alias)]
                 if hits:
                     found[f"{side}_{part}"] = hits[0]
                     break
-        _settle_side(side, found, bare, names, parents)
+        _settle_side(side, found, bare, parents)
     for part in ("head", "neck"):
         for alias in ALIASES[part]:
             hits = [i for i, b in enumerate(bare) if b == ("", alias)]
             if hits:
                 found[part] = hits[0]
                 break
+    if ends:
+        found = _far_ends(found, parents)
+    found |= given
     missing = [m for m in REQUIRED if m not in found]
     if missing:
+        known = ", ".join(f"{mark} is {names[i]}" for mark, i in found.items()) or "none"
         raise InvalidInputError(
-            f"cannot find {', '.join(missing)} among the joints {', '.join(names[:40])}",
+            f"cannot find {', '.join(missing)}; found: {known}; joints of the file: {', '.join(names[:60])}",
             field="skeleton",
-            allowed="joint names that say hip/thigh, knee/shin/calf, ankle/foot with a side",
+            allowed="joint names that say hip/thigh, knee/shin/calf, ankle/foot with a side, or a map of ours to"
+            ' theirs such as {"left_hip": "Bone_12"} (--joints FILE)',
         )
     return found
 
 
-def _settle_side(
-    side: str, found: dict[str, int], bare: list[tuple[str, str]], names: tuple[str, ...], parents: tuple[int, ...]
-) -> None:
+def _far_ends(found: dict[str, int], parents: tuple[int, ...]) -> dict[str, int]:
+    """Landmarks of a skeleton whose joints are the far ends of its bones: a bone begins where its parent ends."""
+    out = {mark: max(parents[i], 0) for mark, i in found.items()}
+    for side in ("left", "right"):
+        for mark, bone in ((f"{side}_ankle", f"{side}_knee"), (f"{side}_wrist", f"{side}_elbow")):
+            if mark not in out and bone in found:
+                out[mark] = found[bone]
+    return out
+
+
+def _settle_side(side: str, found: dict[str, int], bare: list[tuple[str, str]], parents: tuple[int, ...]) -> None:
     """Resolve names that mean different joints in different conventions by the order along the chain."""
     shoulder, collar, elbow = (found.get(f"{side}_{p}") for p in ("shoulder", "collar", "elbow"))
     if shoulder is not None and shoulder == collar:
         del found[f"{side}_collar"]
         # 'shoulder' is the upper arm where nothing lies between it and the elbow, else the clavicle.
         between = parents[elbow] if elbow is not None else shoulder
-        if between != shoulder and parents[between] == shoulder:
+        if between != shoulder and between >= 0 and parents[between] == shoulder:
             found[f"{side}_collar"], found[f"{side}_shoulder"] = shoulder, between
-        elif parents[shoulder] >= 0 and normalise(names[parents[shoulder]])[0] == side:
+        elif parents[shoulder] >= 0 and bare[parents[shoulder]][0] == side:
             found[f"{side}_collar"] = parents[shoulder]
     if (side, "ankle") in bare and (side, "foot") in bare:
         # Both names present: the foot is what lies beyond the ankle (HumanML3D, SMPL).
@@ -147,34 +174,45 @@ def _settle_side(
 
 
 def find_segments(
-    names: tuple[str, ...], parents: tuple[int, ...], marks: dict[str, int], offsets: Array
+    names: tuple[str, ...], parents: tuple[int, ...], marks: Mapping[str, int], ends: bool = False
 ) -> dict[str, int]:
-    """Joint whose world rotation is each segment's: pelvis, chest, head, left/right foot and collar where found."""
-    if "lfemur" in names and "lhipjoint" in names:
+    """Joint whose world rotation is each segment's: pelvis, chest, head, left/right foot and collar where found.
+
+    Raises:
+        InvalidInputError: the legs do not hang together.
+    """
+    if ends and "lfemur" in names and "lhipjoint" in names:
         return {s: names.index(b) for s, b in ACCLAIM_SEGMENTS.items() if b in names}
-    out: dict[str, int] = {"pelvis": _common_ancestor(parents, marks["left_hip"], marks["right_hip"])}
+    out: dict[str, int] = {"pelvis": common_ancestor(parents, marks["left_hip"], marks["right_hip"])}
+    if out["pelvis"] < 0:
+        raise InvalidInputError("the two legs hang on different roots", field="skeleton")
     if "left_shoulder" in marks and "right_shoulder" in marks:
-        out["chest"] = _common_ancestor(parents, marks["left_shoulder"], marks["right_shoulder"])
+        chest = common_ancestor(parents, marks["left_shoulder"], marks["right_shoulder"])
+        if chest >= 0:
+            out["chest"] = chest
     if "head" in marks or "neck" in marks:
         out["head"] = marks.get("head", marks.get("neck", 0))
     for side in ("left", "right"):
-        out[f"{side}_foot"] = marks[f"{side}_ankle"]
+        # Where joints are far ends, the foot is the bone that begins at the ankle.
+        below = [i for i, p in enumerate(parents) if p == marks[f"{side}_ankle"]] if ends else []
+        out[f"{side}_foot"] = below[0] if below else marks[f"{side}_ankle"]
         if f"{side}_collar" in marks:
             out[f"{side}_collar"] = marks[f"{side}_collar"]
     return out
 
 
-def _common_ancestor(parents: tuple[int, ...], a: int, b: int) -> int:
+def common_ancestor(parents: tuple[int, ...], a: int, b: int) -> int:
+    """The nearest joint above two joints; -1 where they hang on different roots."""
     chain = set()
     while a >= 0:
         chain.add(a)
         a = parents[a]
-    while b not in chain:
+    while b >= 0 and b not in chain:
         b = parents[b]
     return b
 
 
-def leg_length(positions: Array, marks: dict[str, int]) -> float:
+def leg_length(positions: Array, marks: Mapping[str, int]) -> float:
     """Thigh plus shank, mean of both sides over the frames, in the unit of positions (T, J, 3)."""
     total = 0.0
     for side in ("left", "right"):

@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
 from shared.errors import InvalidInputError
+from shared.motion.io.landmarks import Array, find_landmarks, find_segments
 from shared.motion.rotations import matrix_from_6d, matrix_to_6d
-
-Array = npt.NDArray[np.float64]
-
-Y_UP_TO_Z_UP = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""World with Y up and +Z forward -> Z up and +X forward: (x, y, z) becomes (z, x, y)."""
-
-UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "0.45in": 0.0254 / 0.45}
-"""Length units seen in files, in metres."""
-
-_LEG_LENGTH_M = 0.82
 
 
 @dataclass(frozen=True)
@@ -35,6 +26,11 @@ class RawMotion:
         rest_positions_m: (J, 3) joint positions of the zero pose.
         fps: frames per second.
         source: where it was read from, for messages.
+        up: the file's vertical axis: 'x', 'y', 'z', or one of them with a minus.
+        unit_m: metres in one unit of the file.
+        family: the program or convention its joints are named after.
+        warnings: what was assumed or passed over in reading, in sentences.
+        marks, segments: joints by landmark and by segment where the reader found them; see `landmarks`, `segmented`.
     """
 
     names: tuple[str, ...]
@@ -45,6 +41,12 @@ class RawMotion:
     rest_positions_m: Array
     fps: float
     source: str
+    up: str = "z"
+    unit_m: float = 1.0
+    family: str = "other"
+    warnings: tuple[str, ...] = ()
+    marks: Mapping[str, int] = field(default_factory=dict)
+    segments: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.positions_w_m.ndim != 3 or self.positions_w_m.shape[1:] != (len(self.names), 3):
@@ -58,6 +60,14 @@ class RawMotion:
 
     def __len__(self) -> int:
         return int(self.positions_w_m.shape[0])
+
+    def landmarks(self) -> dict[str, int]:
+        """Joint of each landmark; see `find_landmarks`."""
+        return dict(self.marks) or find_landmarks(self.names, self.parents)
+
+    def segmented(self) -> dict[str, int]:
+        """Joint whose rotation is each segment's; see `find_segments`."""
+        return dict(self.segments) or find_segments(self.names, self.parents, self.landmarks())
 
     def at_rate(self, fps: float) -> RawMotion:
         """The same motion sampled at k / fps seconds (cubic splines; rotations re-made orthonormal)."""
@@ -81,17 +91,27 @@ def accumulate(parents: tuple[int, ...], offsets: Array) -> Array:
     return out
 
 
-def compose(parents: tuple[int, ...], offsets: Array, root_pos: Array, local: Array) -> tuple[Array, Array]:
-    """World positions (T, J, 3) and rotations (T, J, 3, 3) of a chain given local rotations (T, J, 3, 3)."""
+def compose(
+    parents: tuple[int, ...], offsets: Array, root_pos: Array, local: Array, moving: Mapping[int, Array] | None = None
+) -> tuple[Array, Array]:
+    """World positions (T, J, 3) and rotations (T, J, 3, 3) of a chain given local rotations (T, J, 3, 3).
+
+    `moving`: offsets (T, 3) of joints that move relative to their parent; of a root, its position.
+    """
     positions = np.empty(local.shape[:2] + (3,))
     world = np.empty_like(local)
+    moving = moving or {}
     for joint, parent in enumerate(parents):
         if parent < 0:
             world[:, joint] = local[:, joint]
-            positions[:, joint] = root_pos
+            positions[:, joint] = moving.get(joint, root_pos)
         else:
             world[:, joint] = world[:, parent] @ local[:, joint]
-            positions[:, joint] = positions[:, parent] + world[:, parent] @ offsets[joint]
+            step = moving.get(joint)
+            if step is None:
+                positions[:, joint] = positions[:, parent] + world[:, parent] @ offsets[joint]
+            else:
+                positions[:, joint] = positions[:, parent] + np.einsum("tij,tj->ti", world[:, parent], step)
     return positions, world
 
 
@@ -106,25 +126,3 @@ def euler_matrix(order: str, angles_rad: Array) -> Array:
         m[..., a, a], m[..., b, b], m[..., a, b], m[..., b, a] = c, c, -s, s
         out = out @ m
     return np.array(out)
-
-
-def guess_unit_m(leg_length: float) -> float:
-    """Metres in a file's unit, from the length of thigh and shank in that unit."""
-    ratios = {unit: abs(np.log(leg_length * unit / _LEG_LENGTH_M)) for unit in UNITS_M.values()}
-    unit = min(ratios, key=lambda u: ratios[u])
-    # Off by more than a factor 1.6: an unusual unit; the leg is then taken to be of average length.
-    return unit if ratios[unit] < 0.47 else _LEG_LENGTH_M / leg_length
-
-
-def guess_up_axis(positions: Array, low: npt.NDArray[np.int64], high: npt.NDArray[np.int64]) -> str:
-    """'y' or 'z': along which axis the `high` joints are, on average, above the `low` ones. positions (T, J, 3)."""
-    span = positions[:, high].mean(axis=1) - positions[:, low].mean(axis=1)
-    mean = np.clip(span, 0.0, None).mean(axis=0)
-    return "y" if mean[1] >= mean[2] else "z"
-
-
-def to_z_up(positions: Array, rotations: Array | None, offsets: Array) -> tuple[Array, Array | None, Array]:
-    """Turn a Y-up motion and its zero pose to Z up."""
-    c = Y_UP_TO_Z_UP
-    turned = None if rotations is None else c @ rotations @ c.T
-    return positions @ c.T, turned, offsets @ c.T

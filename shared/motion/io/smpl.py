@@ -1,47 +1,177 @@
-"""SMPL npz files (`poses` (T, 72 or more) axis-angle, `trans` (T, 3), a rate), Z up, as AMASS writes them."""
+"""npz files of motion: SMPL, SMPL-H and SMPL-X (axis-angle poses, as AMASS writes them), and our own imported clips."""
 
 from __future__ import annotations
 
+import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from shared.errors import InvalidInputError
-from shared.motion.io.raw import Y_UP_TO_Z_UP, RawMotion, accumulate, compose
-from shared.motion.rotations import matrix_from_rotvec
+from shared.motion.io.axes import TURNS, Y_UP_TO_Z_UP, axis_of
+from shared.motion.io.landmarks import Array, find_landmarks, find_segments
+from shared.motion.io.options import ReadOptions, rate_of
+from shared.motion.io.raw import RawMotion, accumulate, compose
+from shared.motion.kinematics import forward_kinematics
+from shared.motion.rotations import matrix_from_6d, matrix_from_rotvec
 from shared.motion.skeleton import CANONICAL
 
-_RATE_KEYS = ("mocap_framerate", "mocap_frame_rate", "fps")
+_RATE_KEYS = ("mocap_framerate", "mocap_frame_rate", "framerate", "frame_rate", "mocap_fps", "fps")
+_WHOLE_KEYS = ("poses", "pose", "smpl_poses")
+_ROOT_KEYS = ("root_orient", "global_orient")
+_BODY_KEYS = ("pose_body", "body_pose")
+_PLACE_KEYS = ("trans", "transl", "smpl_trans")
+_OURS = ("positions_w_m", "rotations_6d")
+_UPRIGHT = 0.7
+_MOSTLY = 0.8
 
 
-def read_smpl_npz(path: str | Path) -> RawMotion:
-    """Read an SMPL or SMPL-H npz; its first 22 joints are HumanML3D's, in the same order.
+class NoMotionError(InvalidInputError):
+    """The file is sound but holds no motion, such as the shape files beside AMASS recordings."""
+
+
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of an npz that are looked for here, and the names of all."""
+    wanted = (*_RATE_KEYS, *_WHOLE_KEYS, *_ROOT_KEYS, *_BODY_KEYS, *_PLACE_KEYS, *_OURS)
+    try:
+        if path.stat().st_size == 0:
+            raise InvalidInputError(f"{path.name}: the file is empty", field="path")
+        with np.load(path, allow_pickle=False) as data:
+            if not isinstance(data, np.lib.npyio.NpzFile):
+                raise InvalidInputError(f"{path.name}: a single array, not an npz of several", field="path")
+            names = list(data.files)
+            arrays = {k: np.asarray(data[k]) for k in names if k in wanted}
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, NotImplementedError) as error:
+        raise InvalidInputError(
+            f"{path.name}: not a readable npz, it may be cut off or broken ({error})", field="path"
+        ) from error
+    if not any(k in arrays for k in (*_WHOLE_KEYS, *_BODY_KEYS, *_OURS)):
+        raise NoMotionError(
+            f"{path.name}: no motion in it (its arrays: {', '.join(names[:12]) or 'none'})",
+            field="path",
+            allowed="poses and trans, or root_orient, pose_body and trans",
+        )
+    return arrays
+
+
+def _first(arrays: Mapping[str, np.ndarray], keys: tuple[str, ...]) -> np.ndarray | None:
+    return next((arrays[k] for k in keys if k in arrays), None)
+
+
+def _numbers(path: Path, name: str, array: np.ndarray) -> Array:
+    """The array as finite float64; the message names what is not."""
+    if array.dtype.kind not in "fiu":
+        raise InvalidInputError(f"{path.name}: {name} holds no numbers but {array.dtype}", field="path")
+    out = np.asarray(array, dtype=np.float64)
+    bad = np.argwhere(~np.isfinite(out))
+    if len(bad):
+        raise InvalidInputError(f"{path.name}: {name} is not finite in frame {int(bad[0][0])}", field="path")
+    return out
+
+
+def _rate(path: Path, arrays: Mapping[str, np.ndarray], options: ReadOptions) -> tuple[float, list[str]]:
+    """Rate and what to say about it; a number, an array of one, or the text of one."""
+    key = next((k for k in _RATE_KEYS if k in arrays), None)
+    if key is None:
+        return rate_of(path.name, None, options)
+    array = arrays[key]
+    try:
+        if array.size != 1:
+            raise ValueError
+        said = float(array.reshape(-1)[0])
+    except ValueError:
+        raise InvalidInputError(f"{path.name}: {key} {str(array)[:40]!r} is no rate", field="fps") from None
+    return rate_of(path.name, said, options, f"{key} says")
+
+
+def _poses(path: Path, arrays: Mapping[str, np.ndarray]) -> tuple[Array, Array, list[str]]:
+    """(T, 22, 3) axis-angle rotations, (T, 3) places and what to say about them."""
+    joints = len(CANONICAL)
+    whole, body = _first(arrays, _WHOLE_KEYS), _first(arrays, _BODY_KEYS)
+    said: list[str] = []
+    if whole is not None:
+        poses = _numbers(path, "poses", whole)
+        poses = poses.reshape(len(poses), -1) if poses.ndim == 3 and poses.shape[2] == 3 else poses
+    else:
+        assert body is not None
+        pose = _numbers(path, "pose_body", body)
+        pose = pose.reshape(len(pose), -1) if pose.ndim > 1 else pose
+        turn = _first(arrays, _ROOT_KEYS)
+        if turn is None or turn.size != 3 * len(pose) or pose.ndim != 2:
+            raise InvalidInputError(f"{path.name}: pose_body {pose.shape} without a root_orient of its", field="path")
+        poses = np.concatenate([_numbers(path, "root_orient", turn).reshape(-1, 3), pose], axis=1)
+    if poses.ndim != 2 or poses.shape[1] < joints * 3 or poses.shape[1] % 3 or len(poses) == 0:
+        raise InvalidInputError(
+            f"{path.name}: poses {poses.shape}", field="path", allowed=f"(T, {joints * 3} or more), 3 a joint"
+        )
+    place = _first(arrays, _PLACE_KEYS)
+    if place is None:
+        trans = np.zeros((len(poses), 3))
+        said.append("no trans in the file: the person stays in place")
+    else:
+        trans = _numbers(path, "trans", place).reshape(-1, 3) if place.size % 3 == 0 else np.zeros((0, 3))
+    if len(trans) != len(poses):
+        raise InvalidInputError(f"{path.name}: {len(poses)} poses but {len(trans)} places in trans", field="path")
+    return poses[:, : joints * 3].reshape(-1, joints, 3), trans, said
+
+
+def _up(root: Array) -> tuple[str, str]:
+    """Vertical of an SMPL file and a sentence. root: (T, 3, 3) rotation of a body whose own vertical is Y.
+
+    AMASS has Z up. Another axis is taken where the body is held along it nearly throughout.
+    """
+    body = root[:, :, 1]
+    axis = axis_of(body.mean(axis=0), _UPRIGHT)
+    if axis is None or axis == "z":
+        return "z", ""
+    sign = -1.0 if axis[0] == "-" else 1.0
+    if float(np.mean(sign * body[:, "xyz".index(axis[-1])] > _UPRIGHT)) < _MOSTLY:
+        return "z", ""
+    return axis, f"the body is held along {axis.upper()}, not Z: read with {axis.upper()} up (--up says otherwise)"
+
+
+def read_smpl_npz(
+    path: str | Path, up: str = "auto", unit_m: float | None = None, fps: float | None = None
+) -> RawMotion:
+    """Read an SMPL, SMPL-H or SMPL-X npz; its first 22 joints are HumanML3D's, in the same order.
 
     SMPL's template is not needed: its joint rotations are relative to a T-pose that faces +Z with Y up, so they
     are put on the canonical skeleton's proportions. Heights are off by a constant that the retargeting removes.
+    A clip that `motionloop data import` wrote is read as it is.
+
+    Args:
+        path: the file: `poses` (T, 66 or more) or `root_orient` and `pose_body`, `trans` (T, 3), a rate.
+        up: vertical axis, or "auto": Z, unless the body is held along another nearly throughout.
+        unit_m: metres in one unit of `trans`, 1 unless given.
+        fps: frames per second in place of the file's.
 
     Raises:
-        InvalidInputError: missing arrays or wrong shapes.
+        NoMotionError: a sound npz that holds no poses.
+        InvalidInputError: broken, missing arrays or wrong shapes, values that are not finite, or no possible rate.
     """
     path = Path(path)
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            arrays = {k: data[k] for k in data.files if k in ("poses", "trans", *_RATE_KEYS)}
-    except (OSError, ValueError) as error:
-        raise InvalidInputError(f"{path.name}: not a readable npz ({error})", field="path") from error
-    if "poses" not in arrays or "trans" not in arrays:
-        raise InvalidInputError(f"{path.name}: no poses or trans", field="path", allowed="arrays poses and trans")
-    poses, trans = np.asarray(arrays["poses"], dtype=np.float64), np.asarray(arrays["trans"], dtype=np.float64)
-    joints = len(CANONICAL)
-    if poses.ndim != 2 or poses.shape[1] < joints * 3 or trans.shape != (len(poses), 3) or len(poses) == 0:
-        raise InvalidInputError(f"{path.name}: poses {poses.shape}, trans {trans.shape}", field="path")
-    rate = next((float(arrays[k]) for k in _RATE_KEYS if k in arrays), 30.0)
-    c = Y_UP_TO_Z_UP
-    local = c @ matrix_from_rotvec(poses[:, : joints * 3].reshape(-1, joints, 3)) @ c.T
-    # The root's rotation takes the Y-up body into a Z-up world: only its body side changes axes.
-    local[:, 0] = matrix_from_rotvec(poses[:, :3]) @ c.T
+    options = ReadOptions(fps, up, unit_m)
+    arrays = _arrays(path)
+    rate, said = _rate(path, arrays, options)
     offsets = np.array(CANONICAL.offsets_m)
-    positions, world = compose(CANONICAL.parents, offsets, trans, local)
+    marks = find_landmarks(CANONICAL.names, CANONICAL.parents)
+    segments = find_segments(CANONICAL.names, CANONICAL.parents, marks)
+    unit = 1.0 if unit_m is None else unit_m
+    if all(k in arrays for k in _OURS):
+        positions, world = _own_clip(path, arrays)
+        axis, kind = "z", "motionloop"
+    else:
+        poses, trans, more = _poses(path, arrays)
+        rotations = matrix_from_rotvec(poses)
+        axis, doubt = _up(rotations[:, 0]) if up == "auto" else (up, "")
+        said += [*more, *([doubt] if doubt else [])]
+        c, turn = Y_UP_TO_Z_UP, TURNS[axis]
+        local = c @ rotations @ c.T
+        # The root's rotation takes the Y-up body into the file's world: its two sides change axes each by its own.
+        local[:, 0] = turn @ rotations[:, 0] @ c.T
+        positions, world = compose(CANONICAL.parents, offsets, trans @ turn.T * unit, local)
+        kind = "SMPL"
     return RawMotion(
         CANONICAL.names,
         CANONICAL.parents,
@@ -51,4 +181,31 @@ def read_smpl_npz(path: str | Path) -> RawMotion:
         accumulate(CANONICAL.parents, offsets),
         rate,
         str(path),
+        axis,
+        unit,
+        kind,
+        tuple(said),
+        marks,
+        segments,
     )
+
+
+def _own_clip(path: Path, arrays: Mapping[str, np.ndarray]) -> tuple[Array, Array]:
+    """Positions (T, 22, 3) and world rotations (T, 22, 3, 3) of a clip we wrote."""
+    positions, sixes = (_numbers(path, name, arrays[name]) for name in _OURS)
+    joints = len(CANONICAL)
+    if positions.shape[1:] != (joints, 3) or sixes.shape != (len(positions), joints, 6) or not len(positions):
+        raise InvalidInputError(
+            f"{path.name}: positions_w_m {positions.shape}, rotations_6d {sixes.shape}", field="path"
+        )
+    _, world = forward_kinematics(CANONICAL, positions[:, 0], matrix_from_6d(sixes))
+    return positions, world
+
+
+def is_own_clip(path: Path) -> bool:
+    """Whether an npz is a clip that `motionloop data import` wrote."""
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            return isinstance(data, np.lib.npyio.NpzFile) and all(k in data for k in _OURS)
+    except (OSError, EOFError, ValueError, zipfile.BadZipFile):
+        return False

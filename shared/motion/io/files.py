@@ -1,0 +1,81 @@
+"""Motion files of any kind: which there are in a folder, and how each is read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from shared.errors import InvalidInputError
+from shared.motion.io.asfamc import read_asf_amc
+from shared.motion.io.bvh import read_bvh
+from shared.motion.io.options import ReadOptions
+from shared.motion.io.raw import RawMotion
+from shared.motion.io.smpl import is_own_clip, read_smpl_npz
+
+SUFFIXES = (".bvh", ".amc", ".npz")
+
+
+def motion_files(path: Path, but_not: Path | None = None) -> list[Path]:
+    """The file itself, or all motion files below a folder in a stable order; hidden ones are passed over.
+
+    Args:
+        but_not: a folder whose files do not count, such as one for results.
+
+    Raises:
+        InvalidInputError: there are none.
+    """
+    if path.is_file():
+        return [path]
+    apart = but_not.resolve() if but_not is not None else None
+    found = [
+        p
+        for p in sorted(path.rglob("*"))
+        if p.suffix.lower() in SUFFIXES
+        and p.is_file()
+        and not any(part.startswith(".") or part == "__MACOSX" for part in p.relative_to(path).parts)
+        and (apart is None or apart not in p.resolve().parents)
+    ]
+    # An imported clip lies there twice, as npz and as BVH: one is enough.
+    found = [p for p in found if not (p.suffix == ".npz" and p.with_suffix(".bvh") in found and is_own_clip(p))]
+    if not found:
+        raise InvalidInputError(f"no motion files at {path}", field="path", allowed=", ".join(SUFFIXES))
+    return found
+
+
+def find_skeleton(amc: Path) -> Path:
+    """The ASF in an AMC's folder whose name begins the AMC's name (the longest such), or the only one there.
+
+    Raises:
+        InvalidInputError: there is none, or several that do not match.
+    """
+    skeletons = sorted(p for p in amc.parent.iterdir() if p.suffix.lower() == ".asf")
+    named = [s for s in skeletons if amc.stem.lower().startswith(s.stem.lower())]
+    if not named and len(skeletons) != 1:
+        there = f"; there are {', '.join(s.name for s in skeletons[:6])}" if skeletons else ""
+        raise InvalidInputError(f"{amc.name}: no ASF skeleton for it in its folder{there}", field="path")
+    return max(named or skeletons, key=lambda s: len(s.stem))
+
+
+def read_motion(path: str | Path, options: ReadOptions | None = None) -> RawMotion:
+    """Read a BVH, an AMC (with its ASF beside it) or an SMPL npz.
+
+    Args:
+        path: motion file; upper and lower case of its suffix are the same.
+        options: what the file does not say.
+
+    Raises:
+        InvalidInputError: unknown type, no skeleton, or a file that cannot be read; the message names it.
+    """
+    path = Path(path)
+    options = options or ReadOptions()
+    suffix = path.suffix.lower()
+    if not path.is_file():
+        raise InvalidInputError(f"{path} is not a file", field="path")
+    if suffix == ".bvh":
+        return read_bvh(path, options.up, options.unit_m, options.fps, options.joints)
+    if suffix == ".npz":
+        return read_smpl_npz(path, options.up, options.unit_m, options.fps)
+    if suffix == ".amc":
+        return read_asf_amc(find_skeleton(path), path, options.fps, options.unit_m, options.up, options.joints)
+    if suffix == ".asf":
+        raise InvalidInputError(f"{path.name}: a skeleton without motion; give its AMC", field="path")
+    raise InvalidInputError(f"{path.name}: unknown type", field="path", allowed=", ".join(SUFFIXES))
