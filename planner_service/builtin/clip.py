@@ -74,7 +74,7 @@ class ClipPlanner:
             positions_w_m=clip.positions_w_m,
             rotations_6d=clip.rotations_6d,
             seed=request.seed,
-            ignored_conditions=ignored_conditions(request),
+            ignored_conditions=[f"target:{t.joint}" for t in request.targets if t.joint not in FLOOR_TARGETS],
         )
 
     def _candidates(self, request: PlanRequest, way: Array | None) -> list[LibraryClip]:
@@ -140,13 +140,3 @@ def bend(positions: Array, turn_rad: float, pace: float = 1.0) -> Array:
     moved = pace * rotate_z(np.diff(root, axis=0), angle[1:])
     path = np.concatenate([root[:1], root[0] + np.cumsum(moved, axis=0)])
     return np.asarray(rotate_z(positions - root[:, None], angle[:, None]) + path[:, None])
-
-
-def ignored_conditions(request: PlanRequest) -> list[str]:
-    """What a request asks that this planner does not do."""
-    ignored = [f"targets.{target.joint}" for target in request.targets if target.joint not in FLOOR_TARGETS]
-    if request.desired_velocity_w_mps is not None:
-        ignored.append("desired_velocity_w_mps")
-    if len(request.keyframe_ticks):
-        ignored.append("keyframes")
-    return ignored

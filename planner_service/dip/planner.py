@@ -139,7 +139,7 @@ class DipPlanner:
         planned = self._denormalized(noise, prefix, targets, text, mask, torch.tensor(guidance))
         sampled = time.monotonic()
         plans = [
-            self._to_plan(request, features, prefixes[i], states[i], ignored[i])
+            self._to_plan(request, features, prefixes[i], states[i], ignored[i], guidance[i])
             for i, (request, features) in enumerate(zip(requests, planned, strict=True))
         ]
         timings = {
@@ -213,10 +213,7 @@ class DipPlanner:
         batch = TargetBatch.none(len(requests), frames)
         ignored: list[list[str]] = []
         for row, (request, state) in enumerate(zip(requests, states, strict=True)):
-            unused = [name for name, given in (
-                ("velocity", request.desired_velocity_w_mps is not None),
-                ("keyframes", len(request.keyframe_ticks) > 0),
-            ) if given]  # fmt: skip
+            unused: list[str] = []
             for target in request.targets:
                 if target.joint not in JOINT_SLOTS:
                     unused.append(f"target:{target.joint}")
@@ -253,7 +250,7 @@ class DipPlanner:
         return out
 
     def _to_plan(
-        self, request: PlanRequest, planned: Array, prefix: Array, state: RootState, ignored: list[str]
+        self, request: PlanRequest, planned: Array, prefix: Array, state: RootState, ignored: list[str], guidance: float
     ) -> Plan:
         """World clip of one sample, its bones of exact length."""
         features = np.concatenate([prefix[-1:], planned[: request.horizon_frames]])
@@ -270,4 +267,5 @@ class DipPlanner:
             rotations_6d=clip.rotations_6d,
             seed=request.seed,
             ignored_conditions=ignored,
+            guidance=guidance if request.text is not None else None,
         )

@@ -10,7 +10,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 
 from shared.errors import DeadlineError, MotionLoopError, UnavailableError
-from shared.plugins.checks import check_plan
+from shared.plugins.checks import check_plan, ignored_conditions
 from shared.plugins.interfaces import Planner
 from shared.protocol.base import Message
 from shared.protocol.messages import Plan, PlanRequest
@@ -112,7 +112,10 @@ class Batcher:
                 "plan": wall_ms,
                 "batch": float(len(batch)),
             }
-            item.future.set_result(outcome.model_copy(update={"timings_ms": timings}))
+            ignored = list(
+                dict.fromkeys((*ignored_conditions(item.request, self._planner.spec), *outcome.ignored_conditions))
+            )
+            item.future.set_result(outcome.model_copy(update={"timings_ms": timings, "ignored_conditions": ignored}))
 
     def _plan_all(self, requests: list[PlanRequest]) -> list[Plan | MotionLoopError]:
         """Plans or errors, in order; when the batch fails as a whole, each request is tried alone."""

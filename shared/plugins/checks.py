@@ -7,7 +7,7 @@ import numpy as np
 from shared.errors import InvalidInputError, SimulationError
 from shared.motion.skeleton import CANONICAL
 from shared.plugins.interfaces import PlannerSpec
-from shared.protocol.messages import Plan, PlanRequest
+from shared.protocol.messages import CONDITIONS, Plan, PlanRequest
 
 FLOOR_JOINT = "traj"
 MAX_TARGET_DISTANCE_M = 30.0
@@ -19,6 +19,10 @@ def fit_request(request: PlanRequest, spec: PlannerSpec) -> PlanRequest:
 
     Raises InvalidInputError that names the field for what no planner can do, or this one cannot.
     """
+    if request.fps != spec.fps:
+        raise InvalidInputError(
+            f"{spec.name} plans at {spec.fps} fps, not {request.fps}", field="fps", allowed=str(spec.fps)
+        )
     frames = len(request.prefix_positions_w_m)
     if frames < spec.prefix_frames:
         raise InvalidInputError(
@@ -53,13 +57,36 @@ def fit_request(request: PlanRequest, spec: PlannerSpec) -> PlanRequest:
     return request.model_copy(update={**cut, "context_frames": min(request.context_frames, spec.prefix_frames)})
 
 
+def asked_conditions(request: PlanRequest) -> tuple[str, ...]:
+    """Which of CONDITIONS a request holds."""
+    asked = {
+        "text": request.text is not None,
+        "target": bool(request.targets),
+        "heading": request.heading is not None,
+        "velocity": request.desired_velocity_w_mps is not None,
+        "facing": request.facing_rad is not None,
+        "keyframes": bool(request.keyframe_mask.any()),
+        "keyframe_rotations": bool(request.keyframe_rotation_mask.any()),
+        "obstacles": len(request.obstacle_radius_m) > 0,
+    }
+    return tuple(name for name in CONDITIONS if asked[name])
+
+
+def ignored_conditions(request: PlanRequest, spec: PlannerSpec) -> tuple[str, ...]:
+    """What a request asks that the planner does not declare to honour."""
+    return tuple(name for name in asked_conditions(request) if name not in spec.conditions)
+
+
 def check_plan(request: PlanRequest, plan: Plan) -> None:
     """Raise SimulationError for a plan that is no answer to the request, or nothing a body could do."""
-    horizon, positions = request.horizon_frames, plan.positions_w_m
-    if positions.shape[0] != horizon or plan.start_tick != request.start_tick or plan.skeleton != CANONICAL.id:
+    positions = plan.positions_w_m
+    given = (len(positions), plan.fps, plan.start_tick, plan.skeleton)
+    asked = (request.horizon_frames, request.fps, request.start_tick, CANONICAL.id)
+    if given != asked:
         raise SimulationError(
-            f"{plan.planner} gave {positions.shape[0]} frames of {plan.skeleton} from tick {plan.start_tick}; "
-            f"asked were {horizon} of {CANONICAL.id} from {request.start_tick}"
+            "{} gave {} frames at {} fps from tick {} of {}; asked were {} at {} from {} of {}".format(
+                plan.planner, *given, *asked
+            )
         )
     if not (np.isfinite(positions).all() and np.isfinite(plan.rotations_6d).all()):
         raise SimulationError(f"{plan.planner} gave non-finite values", field="positions_w_m")

@@ -24,20 +24,22 @@ MAX_ARRAY_BYTES = 64 * 2**20
 
 @dataclass(frozen=True)
 class ArraySpec:
-    """Wire form of one array: little-endian dtype, shape pattern of numbers and letters, largest letter size."""
+    """Wire form of one array: little-endian dtype, shape pattern of numbers and letters, largest and least size."""
 
     dtype: str
     shape: tuple[int | str, ...]
     max_size: int = 20_000
+    min_size: int = 0
 
     def check_shape(self, shape: tuple[int, ...], field: str) -> dict[str, int]:
         """Sizes bound to the letters; raises InvalidInputError naming `field` before anything is allocated."""
-        allowed = f"{self.dtype} array of shape ({', '.join(map(str, self.shape))}), letters <= {self.max_size}"
+        letters = f"letters <= {self.max_size}" + (f" and >= {self.min_size}" if self.min_size else "")
+        allowed = f"{self.dtype} array of shape ({', '.join(map(str, self.shape))}), {letters}"
         if len(shape) != len(self.shape):
             raise InvalidInputError(f"{field} has shape {shape}", field=field, allowed=allowed)
         bound: dict[str, int] = {}
         for size, want in zip(shape, self.shape, strict=True):
-            ok = size == want if isinstance(want, int) else 0 <= size <= self.max_size
+            ok = size == want if isinstance(want, int) else self.min_size <= size <= self.max_size
             if isinstance(want, str):
                 ok = ok and bound.setdefault(want, size) == size
             if not ok:

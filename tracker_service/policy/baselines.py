@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.plugins.interfaces import TrackerObservation, TrackerSpec
+from shared.protocol.messages import SERVO_TARGETS
 from tracker_service.policy.observations import feedforward_targets
 
 Array = npt.NDArray[np.floating]
@@ -26,7 +27,10 @@ class PdTracker:
 
     def __init__(self, damping_ratio_s: Array, skeleton_id: str):
         self._ratio = damping_ratio_s
-        self.spec = TrackerSpec(name="pd", version=VERSION, skeleton=skeleton_id, fps=TICK_HZ, drives="actions")
+        self.spec = TrackerSpec(
+            name="pd", version=VERSION, skeleton=skeleton_id, fps=TICK_HZ, characters=None,
+            action_spaces=(SERVO_TARGETS,),
+        )  # fmt: skip
 
     def reset(self, character_ids: Sequence[str]) -> None:
         """It keeps no state."""
@@ -41,7 +45,9 @@ class KinematicTracker:
     """No physics: the character is where the reference is."""
 
     def __init__(self, skeleton_id: str):
-        self.spec = TrackerSpec(name="kinematic", version=VERSION, skeleton=skeleton_id, fps=TICK_HZ, drives="pose")
+        self.spec = TrackerSpec(
+            name="kinematic", version=VERSION, skeleton=skeleton_id, fps=TICK_HZ, drives="pose", characters=None
+        )
 
     def reset(self, character_ids: Sequence[str]) -> None:
         """It keeps no state."""

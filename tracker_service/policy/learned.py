@@ -16,6 +16,7 @@ from safetensors.numpy import load
 from shared.errors import InvalidInputError
 from shared.motion.rotations import matrix_from_quat
 from shared.plugins.interfaces import TrackerObservation, TrackerSpec
+from shared.protocol.messages import SERVO_TARGETS
 from tracker_service.policy.observations import PREVIEW_TICKS, PolicyInput, feedforward_targets, observe
 
 F32 = npt.NDArray[np.float32]
@@ -99,7 +100,7 @@ class LearnedTracker:
             weights_sha256=hashlib.sha256(raw).hexdigest(),
             skeleton=self.card.skeleton,
             fps=TICK_HZ,
-            drives="actions",
+            action_spaces=(SERVO_TARGETS,),
         )
 
     def reset(self, character_ids: Sequence[str]) -> None:

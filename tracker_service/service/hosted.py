@@ -18,16 +18,30 @@ from shared.errors import ConflictError, InvalidInputError, SimulationError
 from shared.motion.rotations import matrix_from_quat
 from shared.motion.skeleton import Skeleton
 from shared.plugins.interfaces import Tracker
-from shared.protocol.messages import TICK_HZ, GetTicks, Pacing, Snapshot, StateFrame, TickRange, Track, TrackReply
+from shared.protocol.base import PROTOCOL_VERSION
+from shared.protocol.messages import (
+    LOG_HZ,
+    SERVO_TARGETS,
+    TICK_HZ,
+    GetTicks,
+    Look,
+    Pacing,
+    Snapshot,
+    StateFrame,
+    TickRange,
+    Track,
+    TrackReply,
+)
 from tracker_service.service.log_tail import pack_tail, split_buffers
 from tracker_service.service.plan_check import check_plan, late_reason
+from tracker_service.service.replies import state_frame, tick_range
 from tracker_service.service.settings import TrackerServiceSettings
 from tracker_service.simulation.character import SimulatedCharacter
-from tracker_service.simulation.recorder import SAMPLE_HZ, Recorder, Samples, sample_stride
+from tracker_service.simulation.recorder import Recorder, Samples, sample_stride
 
-SAMPLES_A_TICK = SAMPLE_HZ // TICK_HZ
-TAIL_SAMPLES = 2 * SAMPLE_HZ
-"""Samples of the log that travel in a snapshot: two seconds, so that a restored character has its prefix."""
+SAMPLES_A_TICK = LOG_HZ // TICK_HZ
+TAIL_SAMPLES = 3 * LOG_HZ
+"""Samples of the log that travel in a snapshot: three seconds, so that a restored character has its prefix."""
 MAX_ROWS = 20_000
 Xy = tuple[float, float]
 log = logging.getLogger(__name__)
@@ -210,31 +224,10 @@ class HostedCharacter:
         """The present state."""
         with self._lock:
             self._check_open()
-            row = self._last_row()
-            poses = row["object_pose_w"].astype("<f4")
-            simulation = self._simulation
-            return StateFrame(
-                character_id=self.character_id,
-                tick=simulation.tick,
-                time_s=simulation.tick / TICK_HZ,
-                pacing=self.clock.pacing,
-                paused=self.clock.paused,
-                tracker=simulation.tracker.spec.name,
-                scene=simulation.scene.scene.name,
-                body_pos_w_m=row["body_pos_w_m"],
-                body_quat_w=row["body_quat_w"],
-                body_linvel_w_mps=row["body_linvel_w_mps"],
-                contacts=row["contacts"],
-                reference_pos_w_m=row["reference_pos_w_m"],
-                objects=list(simulation.scene.object_names),
-                object_pos_w_m=poses[:, :3],
-                object_quat_w=poses[:, 3:],
-                tracking_error_m=float(row["tracking_error_m"]),
-                fallen=bool(row["fallen"]),
-                plan_end_tick=simulation.reference.plan_end_tick,
-                missed_ticks=self.clock.missed_ticks,
-                failure=self.failure,
-            )
+            return state_frame(
+                self.character_id, self._simulation, self._last_row(), self.failure, self.clock.pacing,
+                self.clock.paused, self.clock.missed_ticks,
+            )  # fmt: skip
 
     def ticks(self, message: GetTicks) -> TickRange:
         """A range of the log. Raises InvalidInputError for one that has not happened yet, or is too long."""
@@ -257,37 +250,32 @@ class HostedCharacter:
         # A realtime tick counts up before its samples are in the log: what is not there yet is not read.
         there = min(now * SAMPLES_A_TICK + 1, self._recorder.next_sample)
         samples = self._recorder.read(start, min(stop, there), stride)
-        reference = samples["reference_pos_w_m"]
-        return TickRange(
-            start_tick=message.start_tick,
-            rate_hz=message.rate_hz,
-            objects=list(objects),
-            body_pos_w_m=samples["body_pos_w_m"],
-            body_quat_w=samples["body_quat_w"],
-            body_linvel_w_mps=samples["body_linvel_w_mps"],
-            contacts=samples["contacts"],
-            object_pose_w=samples["object_pose_w"],
-            tracking_error_m=samples["tracking_error_m"],
-            fallen=samples["fallen"],
-            reference_pos_w_m=reference if message.include_reference else reference[:0],
-        )
+        return tick_range(message, samples, objects)
+
+    def look(self, since_tick: int) -> Look:
+        """State and log since a tick in one go, while no tick is under way."""
+        with self._lock:
+            state = self.frame()
+            first = min(since_tick, state.tick)
+            message = GetTicks(start_tick=first, stop_tick=state.tick + 1, include_reference=True)
+            return Look.of(state, self.ticks(message))
 
     def snapshot(self) -> Snapshot:
-        """Everything needed to go on bit for bit, and the last two seconds of the log."""
+        """Everything needed to go on bit for bit, and the last three seconds of the log."""
         with self._lock:
             self._check_open()
             meta, state, buffers = self._simulation.snapshot()
             last = self.tick * SAMPLES_A_TICK
             first = max(self._recorder.first_sample, last + 1 - TAIL_SAMPLES)
             tail = pack_tail(self._recorder.read(first, last + 1))
-            about = {"pacing": self.clock.pacing, "seed": self.seed, "first_sample": first}
+            about = {"format": PROTOCOL_VERSION, "pacing": self.clock.pacing, "seed": self.seed, "first_sample": first}
             about["tail_bytes"] = len(tail)
             return Snapshot(
                 tick=self.tick, meta={**meta, **about}, state=state, buffers=np.concatenate([tail, buffers])
             )
 
     def restore(self, meta: Mapping[str, Any], state: npt.NDArray[np.float64], buffers: npt.NDArray[np.uint8]) -> None:
-        """Go on from a snapshot. The log keeps what it has from before the snapshot's tick, else its two seconds.
+        """Go on from a snapshot. The log keeps what it has from before the snapshot's tick, else its three seconds.
 
         Raises:
             InvalidInputError: a snapshot of another scene or character, or a damaged one; nothing is changed.
@@ -328,15 +316,17 @@ class HostedCharacter:
             raise ConflictError(f"character {self.character_id!r} was closed", field="character_id")
 
     def _check_actions(self, message: Track) -> None:
+        spec, space = self._simulation.tracker.spec, message.action_space
         if len(message.actions) == 0:
             return
-        spec = self._simulation.tracker.spec
-        if spec.drives != "actions":
+        if space not in spec.action_spaces:
             raise InvalidInputError(
-                f"tracker {spec.name!r} takes no action chunks", field="actions", allowed="none, or another tracker"
+                f"tracker {spec.name!r} takes no actions in the space {space!r}",
+                field="action_space",
+                allowed=", ".join(spec.action_spaces) or "no actions, or another tracker",
             )
         hinges = len(self._simulation.human.hinges)
-        if message.actions.shape[1] != hinges:
+        if space == SERVO_TARGETS and message.actions.shape[1] != hinges:
             raise InvalidInputError(
                 f"the actions have shape {message.actions.shape}", field="actions", allowed=f"(A, {hinges})"
             )

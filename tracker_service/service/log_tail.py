@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.errors import InvalidInputError
+from shared.protocol.base import PROTOCOL_VERSION
 from tracker_service.simulation.recorder import Samples
 
 
@@ -19,6 +20,17 @@ def pack_tail(samples: Samples) -> npt.NDArray[np.uint8]:
     out = io.BytesIO()
     np.savez(out, **samples)  # type: ignore[arg-type]
     return np.frombuffer(out.getvalue(), dtype=np.uint8)
+
+
+def check_format(meta: Mapping[str, Any]) -> None:
+    """Raise InvalidInputError for a snapshot that another protocol version's tracker took."""
+    made_by = meta.get("format", 1)
+    if made_by != PROTOCOL_VERSION:
+        raise InvalidInputError(
+            f"the snapshot has format {made_by!r}, it was taken by a tracker of that protocol version",
+            field="meta.format",
+            allowed=str(PROTOCOL_VERSION),
+        )
 
 
 def split_buffers(meta: Mapping[str, Any], buffers: npt.NDArray[np.uint8]) -> tuple[Samples, npt.NDArray[np.uint8]]:

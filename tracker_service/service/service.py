@@ -24,6 +24,7 @@ from shared.protocol.messages import (
     CreateCharacter,
     GetTicks,
     Impulse,
+    Look,
     Observe,
     Pacing,
     Render,
@@ -46,10 +47,11 @@ from tracker_service.policy.learned import WEIGHTS
 from tracker_service.rendering.render import VideoRenderer
 from tracker_service.rendering.video_job import VideoJob
 from tracker_service.service.hosted import HostedCharacter
+from tracker_service.service.log_tail import check_format
 from tracker_service.service.realtime import RealtimeClock
 from tracker_service.service.settings import TrackerServiceSettings, dump_folder
 from tracker_service.service.trackers import TrackerCatalogue, builtin_trackers
-from tracker_service.service.worlds import Worlds, scene_shapes
+from tracker_service.service.worlds import Worlds, scene_name, scene_shapes
 from tracker_service.simulation.recorder import Recorder
 
 VERSION = "0.1.0"
@@ -207,7 +209,7 @@ class TrackerService:
         hosted = self._host(
             character_id,
             message.character,
-            message.scene,
+            scene_name(message.scene),
             self._trackers.get(message.tracker),
             message.pacing,
             message.seed,
@@ -272,7 +274,9 @@ class TrackerService:
     def _set_scene(self, envelope: Envelope, message: SetScene) -> StateFrame:
         hosted = self.character(envelope.character_id)
         old = hosted.simulation
-        new = self._worlds.simulation(old.human.character.name, message.scene, old.tracker, hosted.character_id)
+        new = self._worlds.simulation(
+            old.human.character.name, scene_name(message.scene), old.tracker, hosted.character_id
+        )
         return self._published(hosted.replace_simulation(new))
 
     def _set_tracker(self, envelope: Envelope, message: SetTracker) -> Ok:
@@ -294,8 +298,9 @@ class TrackerService:
     def _step(self, envelope: Envelope, message: Step) -> StateFrame:
         return self._published(self.character(envelope.character_id).lockstep(message.ticks))
 
-    def _observe(self, envelope: Envelope, message: Observe) -> StateFrame:
-        return self.character(envelope.character_id).frame()
+    def _observe(self, envelope: Envelope, message: Observe) -> StateFrame | Look:
+        hosted = self.character(envelope.character_id)
+        return hosted.frame() if message.since_tick is None else hosted.look(message.since_tick)
 
     def _get_ticks(self, envelope: Envelope, message: GetTicks) -> TickRange:
         return self.character(envelope.character_id).ticks(message)
@@ -310,6 +315,7 @@ class TrackerService:
     def _restore(self, envelope: Envelope, message: Restore) -> StateFrame:
         character_id = _id_of(envelope.character_id)
         meta = message.meta
+        check_format(meta)
         names = {}
         for key in ("character", "scene", "tracker", "pacing"):
             value = meta.get(key)

@@ -25,7 +25,7 @@ class TrackerServiceSettings(ServiceSettings):
         max_characters: more are refused as overloaded.
         spool_dir: folder for recordings that leave memory and for dumps of failed physics; a temporary one, removed at
             the end (dumps stay), by default.
-        chunk_samples, memory_chunks: 60 Hz samples in one piece of a recording, and pieces held in memory.
+        chunk_samples, memory_chunks: 120 Hz samples in one piece of a recording, and pieces held in memory.
         late_ticks: a plan this many ticks late, or later, is dropped.
         max_ahead_ticks: how far in the future a plan may start.
         reach_m: how far from the character a plan may begin; it may go on at `plan_speed_mps`.
@@ -46,7 +46,7 @@ class TrackerServiceSettings(ServiceSettings):
     weights: Path | None = None
     max_characters: Annotated[int, Field(ge=1, le=1024)] = 32
     spool_dir: Path | None = None
-    chunk_samples: Annotated[int, Field(ge=2, le=36_000)] = 600
+    chunk_samples: Annotated[int, Field(ge=2, le=36_000)] = 1200
     memory_chunks: Count = 6
     late_ticks: Count = 9
     max_ahead_ticks: Count = 90

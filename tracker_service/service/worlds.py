@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import threading
 
+from pydantic import JsonValue
+
+from shared.errors import InvalidInputError
 from shared.plugins.interfaces import Tracker
 from shared.scenes.files import load_scene
 from shared.scenes.schema import Scene
@@ -43,6 +46,13 @@ class Worlds:
         return SimulatedCharacter(
             self.scene_model(character_name, scene_name), tracker, character_id, xy_w_m, heading_rad
         )
+
+
+def scene_name(scene: str | dict[str, JsonValue]) -> str:
+    """The name, where a scene is given by name."""
+    if not isinstance(scene, str):
+        raise InvalidInputError("this service takes scenes by name only", field="scene", allowed="a name")
+    return scene
 
 
 def scene_shapes(scene: Scene) -> tuple[SceneShape, ...]:

@@ -24,8 +24,6 @@ Array = npt.NDArray[np.float64]
 Samples = dict[str, npt.NDArray[np.generic]]
 
 SUBSTEPS = PHYSICS_HZ // TICK_HZ
-SAMPLE_EVERY = 2
-"""Substeps a sample: 60 Hz."""
 PREVIEW_ROWS = 4
 EXPLODED_MPS = 60.0
 """No body part moves this fast; physics that does has exploded."""
@@ -36,7 +34,7 @@ _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 class SimulatedCharacter:
     """A character that follows its reference.
 
-    Samples are at 60 Hz: sample k is the state at exactly k / 60 s, tick t is sample 2 t.
+    Samples are at 120 Hz: sample k is the state at exactly k / 120 s, tick t is sample 4 t.
 
     Args:
         scene: the compiled world.
@@ -151,13 +149,14 @@ class SimulatedCharacter:
         return {name: value[None] for name, value in self._sample(self.tick).items()}
 
     def step(self, ticks: int) -> Samples:
-        """Advance by `ticks`; the 2 x ticks samples after the present one.
+        """Advance by `ticks`; the 4 x ticks samples after the present one.
 
         Returns:
             body_pos_w_m (N, J, 3), body_quat_w (N, J, 4), body_linvel_w_mps and body_angvel_w_radps (N, J, 3),
             contacts (N, 4) uint8 of left heel, left toe, right heel, right toe, reference_pos_w_m (N, J, 3),
             tracking_error_m (N,) mean joint distance to the reference, fallen (N,) uint8,
-            object_pose_w (N, O, 7) position and quaternion.
+            hinge_pos_rad, hinge_vel_radps, servo_target_rad (N, H), object_pose_w (N, O, 7) position and quaternion,
+            object_vel_w (N, O, 6) linear and angular velocity.
 
         Raises:
             SimulationError: physics produced non-finite or exploding values; the character must be reset or restored.
@@ -183,9 +182,7 @@ class SimulatedCharacter:
                 self._data.xfrc_applied[:] = 0.0
             if substep == SUBSTEPS:
                 self._end_tick()
-            if substep % SAMPLE_EVERY == 0:
-                tick = self.tick if substep == SUBSTEPS else self.tick + substep / SUBSTEPS
-                rows.append(self._sample(tick))
+            rows.append(self._sample(self.tick if substep == SUBSTEPS else self.tick + substep / SUBSTEPS))
         return rows
 
     def _end_tick(self) -> None:
@@ -224,10 +221,14 @@ class SimulatedCharacter:
 
     def _body_states(self) -> tuple[Array, Array, Array, Array]:
         """Positions (J, 3), quaternions (J, 4), linear and angular velocities (J, 3) of the bodies' frames, world."""
-        model, data, ids = self.scene.model, self._data, self.scene.body_ids
+        model, data = self.scene.model, self._data
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
+        return self._states_of(self.scene.body_ids)
+
+    def _states_of(self, ids: npt.NDArray[np.integer]) -> tuple[Array, Array, Array, Array]:
+        model, data = self.scene.model, self._data
         pos = data.xpos[ids]
         spin = data.cvel[ids, :3]
         arm = pos - data.subtree_com[model.body_rootid[ids]]
@@ -238,7 +239,8 @@ class SimulatedCharacter:
         whole = int(tick)
         ref = self.reference.at(whole, 2).pos_w_m
         target = ref[0] + (tick - whole) * (ref[1] - ref[0])
-        data, objects = self._data, self.scene.object_ids
+        data = self._data
+        object_pos, object_quat, object_lin, object_ang = self._states_of(self.scene.object_ids)
         touching = floor_touch(self.scene, data, floor_only=False)
         return {
             "body_pos_w_m": pos,
@@ -249,7 +251,11 @@ class SimulatedCharacter:
             "reference_pos_w_m": target,
             "tracking_error_m": np.array(np.linalg.norm(pos - target, axis=-1).mean()),
             "fallen": np.array(self._fall.fallen, dtype=np.uint8),
-            "object_pose_w": np.concatenate([data.xpos[objects], data.xquat[objects]], axis=-1),
+            "hinge_pos_rad": data.qpos[7 : self._hinge_end].copy(),
+            "hinge_vel_radps": data.qvel[6 : self._hinge_end - 1].copy(),
+            "servo_target_rad": data.ctrl.copy(),
+            "object_pose_w": np.concatenate([object_pos, object_quat], axis=-1),
+            "object_vel_w": np.concatenate([object_lin, object_ang], axis=-1),
         }
 
     def snapshot(self) -> tuple[dict[str, Any], Array, npt.NDArray[np.uint8]]:

@@ -1,7 +1,7 @@
-"""The log of one character: every 60 Hz sample of its life, in bounded memory, older parts on disk.
+"""The log of one character: every 120 Hz sample of its life, in bounded memory, older parts on disk.
 
-Sample k is the state at exactly k / 60 s. 30 Hz ticks are every second sample and 20 Hz planner frames every third, so
-that reading at any of the three rates picks recorded samples and never interpolates (DESIGN 2).
+Sample k is the state at exactly k / 120 s, after a physics step. A tick is every fourth sample, a frame at 20 fps every
+sixth: reading at any rate that divides 120 picks recorded samples and never interpolates (DESIGN 2).
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.errors import InvalidInputError, MotionLoopError
+from shared.protocol.rates import LOG_HZ, LOG_RATES
 
-SAMPLE_HZ = 60
 AnyArray = npt.NDArray[np.generic]
 Samples = dict[str, AnyArray]
 
@@ -41,9 +41,9 @@ class RecordingLostError(MotionLoopError):
 
 def sample_stride(rate_hz: int) -> int:
     """Samples from one reading to the next at `rate_hz`; raises InvalidInputError for a rate that would interpolate."""
-    if rate_hz not in (20, 30, 60):
-        raise InvalidInputError(f"rate_hz is {rate_hz}", field="rate_hz", allowed="20, 30, 60")
-    return SAMPLE_HZ // rate_hz
+    if rate_hz not in LOG_RATES:
+        raise InvalidInputError(f"rate_hz is {rate_hz}", field="rate_hz", allowed=", ".join(map(str, LOG_RATES)))
+    return LOG_HZ // rate_hz
 
 
 @dataclass
@@ -63,7 +63,7 @@ class Recorder:
     """
 
     spool_dir: Path
-    chunk_samples: int = 600
+    chunk_samples: int = 1200
     memory_chunks: int = 6
     first_sample: int = 0
     spill_failures: int = 0
