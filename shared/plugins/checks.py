@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Mapping
 
-from shared.errors import InvalidInputError, SimulationError
+import numpy as np
+from pydantic import ValidationError
+
+from shared.errors import IncompatiblePeerError, InvalidInputError, SimulationError
 from shared.motion.skeleton import CANONICAL
 from shared.plugins.interfaces import PlannerSpec
+from shared.protocol.errors import invalid_input_from
 from shared.protocol.messages import CONDITIONS, Plan, PlanRequest
 
 FLOOR_JOINT = "traj"
 MAX_TARGET_DISTANCE_M = 30.0
 MAX_SPEED_MPS = 30.0
+
+
+def planner_spec(declared: Mapping[str, object]) -> PlannerSpec:
+    """What a planner declared in the handshake; raises IncompatiblePeerError that names what the loop cannot run."""
+    try:
+        return PlannerSpec.model_validate(declared)
+    except ValidationError as problem:
+        error = invalid_input_from(problem)
+        raise IncompatiblePeerError(
+            f"planner {declared.get('name')!r}: {error.message}", field=error.field, allowed=error.allowed
+        ) from problem
 
 
 def fit_request(request: PlanRequest, spec: PlannerSpec) -> PlanRequest:

@@ -17,10 +17,12 @@ import zmq
 from shared.errors import IncompatiblePeerError, MotionLoopError
 from shared.motion.ik import clip_from_positions, standing_clip
 from shared.motion.skeleton import CANONICAL
-from shared.plugins.checks import check_plan
+from shared.plugins.checks import check_plan, planner_spec
 from shared.plugins.interfaces import Planner, PlannerSpec
 from shared.protocol.messages import (
+    CONDITIONS,
     PLANNER_FPS,
+    TICK_HZ,
     CloseCharacter,
     CreateCharacter,
     GetTicks,
@@ -34,13 +36,15 @@ from shared.protocol.messages import (
     Track,
     TrackReply,
 )
+from shared.protocol.rates import first_start_by
 from shared.protocol.security import CurveKeys
 from shared.protocol.transport import ServiceClient
 
 MAX_SEAM_M = 0.25
-"""No joint may be farther than this from its place in the last prefix frame one frame (0.05 s) later."""
+"""No joint may be farther than this from its place in the last prefix frame one frame later."""
 MAX_BONE_ERROR_M = 0.005
-CONDITIONS = ("text", "target", "heading", "velocity", "keyframes")
+START_TICK = 30
+"""A second: a frame at every rate that a planner may have."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +87,7 @@ class EndpointProbe:
         specs = [entry for entry in welcome.plugins if entry.get("name") == name]
         if not specs:
             raise IncompatiblePeerError(f"{client.peer.endpoint} has no planner {name!r}", field="plugin")
-        self.spec = PlannerSpec.model_validate(specs[0])
+        self.spec = planner_spec(specs[0])
         self._client = client
         self._timeout_s = timeout_s
 
@@ -97,9 +101,10 @@ def sample_request(
     spec: PlannerSpec, *, at_w_m: tuple[float, float] = (0.0, 0.0), heading_rad: float = 0.0, **fields: Any
 ) -> PlanRequest:
     """A request whose prefix is quiet standing at a place, with other fields as given."""
-    clip = standing_clip(spec.prefix_frames, PLANNER_FPS, heading_rad=heading_rad)
+    clip = standing_clip(spec.prefix_frames, spec.fps, heading_rad=heading_rad)
     return PlanRequest(
-        start_tick=int(fields.pop("start_tick", 30)),
+        start_tick=int(fields.pop("start_tick", START_TICK)),
+        fps=spec.fps,
         prefix_positions_w_m=clip.positions_w_m + np.array([*at_w_m, 0.0]),
         prefix_rotations_6d=clip.rotations_6d,
         prefix_velocities_w_mps=np.zeros_like(clip.positions_w_m),
@@ -199,9 +204,7 @@ def _expect(condition: bool, otherwise: str) -> None:
 def _spec(probe: PlannerProbe) -> None:
     spec = probe.spec
     _expect(spec.skeleton == CANONICAL.id, f"skeleton {spec.skeleton!r}, not {CANONICAL.id!r}")
-    _expect(spec.fps == PLANNER_FPS, f"{spec.fps} fps, not {PLANNER_FPS}")
-    _expect(1 <= spec.prefix_frames <= 256, f"prefix of {spec.prefix_frames} frames, allowed 1..256")
-    _expect(1 <= spec.plan_frames <= 200, f"plans of {spec.plan_frames} frames, allowed 1..200")
+    planner_spec(spec.model_dump())
     unknown = set(spec.conditions) - set(CONDITIONS)
     _expect(not unknown, f"unknown conditions {sorted(unknown)}, allowed {CONDITIONS}")
 
@@ -248,11 +251,12 @@ def _determinism(probe: PlannerProbe) -> None:
 
 def _conditions(probe: PlannerProbe) -> None:
     frames = _frames(probe)
+    arrival = START_TICK + frames * TICK_HZ // probe.spec.fps
     request = sample_request(
         probe.spec,
         horizon_frames=frames,
         text="a person walks forward",
-        targets=[JointTarget(joint="traj", position_w_m=(1.0, 0.0, 0.0), arrival_tick=30 + 3 * frames // 2)],
+        targets=[JointTarget(joint="traj", position_w_m=(1.0, 0.0, 0.0), arrival_tick=arrival)],
     )
     check_plan(request, probe.plan(request))
 
@@ -300,7 +304,7 @@ def _log(client: ServiceClient, character_id: str, timeout_s: float) -> None:
 def _bad_track(client: ServiceClient, character_id: str, timeout_s: float) -> None:
     clip = standing_clip(40, PLANNER_FPS)
     state = client.ask(Observe(), StateFrame, character_id, timeout_s=timeout_s)
-    start_tick = -(-state.tick // 3) * 3
+    start_tick = first_start_by(state.tick, PLANNER_FPS)
     exploding = clip.positions_w_m + np.arange(40)[:, None, None] * 50.0
     bad = Track(start_tick=start_tick, positions_w_m=exploding, rotations_6d=clip.rotations_6d)
     _refused(lambda: client.request(bad, character_id, timeout_s=timeout_s), "positions_w_m")

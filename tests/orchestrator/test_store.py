@@ -32,8 +32,11 @@ def ticks(start: int, count: int) -> TickRange:
     quat[..., 0] = 1
     return TickRange(
         start_tick=start, rate_hz=30, body_pos_w_m=standing, body_quat_w=quat,
-        body_linvel_w_mps=np.zeros((count, 22, 3), "<f4"), contacts=np.ones((count, 4), "|u1"),
-        object_pose_w=np.zeros((count, 0, 7), "<f4"), tracking_error_m=np.zeros(count, "<f4"),
+        body_linvel_w_mps=np.zeros((count, 22, 3), "<f4"), body_angvel_w_radps=np.zeros((count, 22, 3), "<f4"),
+        contacts=np.ones((count, 4), "|u1"), hinge_pos_rad=np.zeros((count, 5)), hinge_vel_radps=np.zeros((count, 5)),
+        servo_target_rad=np.zeros((count, 5)), object_pose_w=np.zeros((count, 0, 7), "<f4"),
+        object_vel_w=np.zeros((count, 0, 6), "<f4"), contact_sample=np.zeros(0), contact_body=np.zeros(0),
+        contact_object=np.zeros(0), contact_impulse_ns=np.zeros(0), tracking_error_m=np.zeros(count, "<f4"),
         fallen=np.zeros(count, "|u1"), reference_pos_w_m=standing,
     )  # fmt: skip
 

@@ -219,6 +219,20 @@ def test_one_that_fails_does_not_spoil_its_batch(gated: Gated) -> None:
     assert len(gated.batches[0]) == 4
 
 
+def test_what_a_planner_does_not_declare_is_reported_as_ignored() -> None:
+    with hosting(StandPlanner()) as service, ServiceClient(service.endpoint) as client:
+        request = sample_request(
+            SPEC, text="walk", desired_velocity_w_mps=(1.0, 0.0), facing_rad=0.5, obstacle_pos_w_m=np.ones((1, 3)),
+            keyframe_ticks=np.array([45]), keyframe_rotation_mask=np.ones((1, 22)), keyframe_mask=np.zeros((1, 22)),
+            keyframe_positions_w_m=np.zeros((1, 22, 3)),
+        )  # fmt: skip
+        plan = client.ask(request, Plan, "c", timeout_s=10.0)
+        assert plan.ignored_conditions == ["text", "velocity", "facing", "keyframe_rotations", "obstacles"]
+        with pytest.raises(InvalidInputError) as caught:
+            client.ask(request.model_copy(update={"fps": 30}), Plan, "c", timeout_s=10.0)
+        assert (caught.value.field, caught.value.allowed) == ("fps", "20")
+
+
 def test_conformance_finds_what_is_wrong() -> None:
     class Drunk:
         spec = SPEC.model_copy(update={"fps": 30.0, "conditions": ("mood",)})

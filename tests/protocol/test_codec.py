@@ -18,7 +18,20 @@ from shared.protocol.arrays import array_specs
 from shared.protocol.base import Message
 from shared.protocol.codec import MAX_FRAMES, MAX_HEADER_BYTES, UNKNOWN_ID, decode, encode, message_id_of
 from shared.protocol.control import Envelope
-from shared.protocol.messages import MESSAGES, Plan, PlanRequest, Snapshot, Step, Track
+from shared.protocol.messages import (
+    LOG_HZ,
+    MESSAGES,
+    Look,
+    Plan,
+    PlanRequest,
+    SetObject,
+    SetScene,
+    Snapshot,
+    StateFrame,
+    Step,
+    Track,
+)
+from shared.protocol.rates import PLANNER_RATES, first_start_by, frame_of_tick, start_spacing
 from shared.protocol.schemas import schema_texts
 from tests.protocol.samples import GOLDEN, SAMPLES, packed, sample_envelope, unpacked
 
@@ -215,8 +228,70 @@ def test_a_bad_field_is_named_with_what_is_allowed() -> None:
 
 
 def test_another_protocol_version_is_refused_by_number() -> None:
-    with pytest.raises(IncompatiblePeerError, match="version 2"):
-        decode(remade(step_frames(), protocol_version=2))
+    with pytest.raises(IncompatiblePeerError, match="version 3, this side speaks 2"):
+        decode(remade(step_frames(), protocol_version=3))
+
+
+@pytest.mark.parametrize("kind", ["Hello", "Step"])
+def test_a_peer_of_version_1_is_refused_by_name(kind: str) -> None:
+    """Bytes that version 1 sent."""
+    frames = unpacked((GOLDEN.parent / "golden_v1" / f"{kind}.bin").read_bytes())
+    with pytest.raises(IncompatiblePeerError, match="protocol version 1, this side speaks 2") as caught:
+        decode(frames)
+    assert (caught.value.field, caught.value.allowed) == ("protocol_version", "2")
+    assert message_id_of(frames) == "0123456789abcdef", "so that the refusal reaches it"
+
+
+@pytest.mark.parametrize("fps", [4, 7, 25, 50, 61, 120])
+def test_a_rate_that_the_log_does_not_hold_is_refused_by_name(fps: int) -> None:
+    one = np.zeros((1, 22, 3))
+    with pytest.raises(ValueError, match=f"{fps} fps does not divide 120; allowed: 5, 6, 8, 10, 12, 15, 20, 24, 30"):
+        Track(start_tick=0, fps=fps, positions_w_m=one, rotations_6d=np.zeros((1, 22, 6)))
+
+
+@given(fps=st.sampled_from(PLANNER_RATES), tick=st.integers(0, 10**6))
+def test_plans_start_where_ticks_are_frames(fps: int, tick: int) -> None:
+    is_frame = tick * fps % 30 == 0
+    assert (tick % start_spacing(fps) == 0) == is_frame
+    if is_frame:
+        assert frame_of_tick(tick, fps) * (LOG_HZ // fps) == 4 * tick, "it is the tick's own sample of the log"
+    else:
+        with pytest.raises(InvalidInputError) as caught:
+            frame_of_tick(tick, fps)
+        assert caught.value.field == "start_tick"
+    start = first_start_by(tick, fps)
+    assert start >= tick > start - start_spacing(fps)
+
+
+def test_actions_name_their_space_and_objects_something_to_do() -> None:
+    one = np.zeros((1, 22, 3))
+    with pytest.raises(InvalidInputError) as actions:
+        Track(start_tick=0, positions_w_m=one, rotations_6d=np.zeros((1, 22, 6)), actions=np.zeros((2, 5)))
+    assert actions.value.field == "action_space"
+    with pytest.raises(InvalidInputError) as idle:
+        SetObject(name="bag")
+    assert "linvel_w_mps" in (idle.value.allowed or "")
+
+
+def test_a_scene_is_a_name_or_a_small_document() -> None:
+    for scene in ("the moon", "", {"bodies": "x" * 70_000}):
+        with pytest.raises(ValueError, match="scene document of at most 65536 bytes"):
+            SetScene(scene=scene)
+    assert SetScene(scene={"bodies": []}).scene == {"bodies": []}
+
+
+def test_a_look_holds_the_present_state() -> None:
+    """What a StateFrame says and what a Look says of the same moment are one."""
+    state = next(sample for sample in SAMPLES if isinstance(sample, StateFrame))
+    ticks = next(sample for sample in SAMPLES if isinstance(sample, Look))
+    again = Look.of(state, ticks).state()
+    assert again.model_dump(include={"tick", "pacing", "tracker", "scene", "plan_end_tick"}) == state.model_dump(
+        include={"tick", "pacing", "tracker", "scene", "plan_end_tick"}
+    )
+    np.testing.assert_array_equal(again.body_pos_w_m, ticks.body_pos_w_m[-1])
+    np.testing.assert_array_equal(again.object_angvel_w_radps, ticks.object_vel_w[-1, :, 3:])
+    np.testing.assert_array_equal(again.contact_body, [2])
+    np.testing.assert_array_equal(again.contact_object, [1])
 
 
 def test_letters_must_agree() -> None:

@@ -19,6 +19,7 @@ from shared.protocol.base import Message
 from shared.protocol.codec import decode, encode
 from shared.protocol.control import Envelope, ErrorReply
 from shared.protocol.messages import (
+    SERVO_TARGETS,
     CreateCharacter,
     GetTicks,
     Impulse,
@@ -64,10 +65,24 @@ CASES: list[tuple[str, Message, type[MotionLoopError], str, str]] = [
     ("far ahead", track(300, standing_plan(5)), InvalidInputError, "start_tick", "<="),
     (
         "actions of the wrong width",
-        track(0, standing_plan(5), actions=np.zeros((3, 7))),
+        track(0, standing_plan(5), actions=np.zeros((3, 7)), action_space=SERVO_TARGETS),
         InvalidInputError,
         "actions",
         "(A,",
+    ),
+    (
+        "actions of another tracker",
+        track(0, standing_plan(5), actions=np.zeros((3, 7)), action_space="latent"),
+        InvalidInputError,
+        "action_space",
+        "servo_targets",
+    ),
+    (
+        "a snapshot of version 1",
+        Restore(tick=0, meta={"character": "human"}, state=np.zeros(1), buffers=np.zeros(1, "|u1")),
+        InvalidInputError,
+        "meta.format",
+        "2",
     ),
     ("unknown body", Impulse(body="tail", impulse_w_ns=(1, 0, 0)), InvalidInputError, "body", "left_wrist"),
     ("too strong", Impulse(body="pelvis", impulse_w_ns=(9e3, 0, 0)), InvalidInputError, "impulse_w_ns", "<="),
@@ -79,7 +94,7 @@ CASES: list[tuple[str, Message, type[MotionLoopError], str, str]] = [
     ("a second one", CreateCharacter(), ConflictError, "character_id", ""),
     (
         "a snapshot of nothing",
-        Restore(tick=0, meta={}, state=np.zeros(1), buffers=np.zeros(1, "|u1")),
+        Restore(tick=0, meta={"format": 2}, state=np.zeros(1), buffers=np.zeros(1, "|u1")),
         InvalidInputError,
         "meta.character",
         "name",
@@ -119,8 +134,9 @@ def test_messages_refuse_what_is_not_finite_or_misshapen() -> None:
         track(0, standing_plan(5)[:, :21], rotations_6d=np.zeros((5, 22, 6)))
     with pytest.raises(InvalidInputError, match="rotations_6d has T = 4"):
         track(0, standing_plan(5), rotations_6d=np.zeros((4, 22, 6)))
-    with pytest.raises(ValueError, match="start_tick"):
+    with pytest.raises(InvalidInputError, match="between two frames at 20 fps") as caught:
         track(1, standing_plan(5))
+    assert (caught.value.field, caught.value.allowed) == ("start_tick", "multiples of 3")
 
 
 def raw_track(service: TrackerService, client: ServiceClient, character_id: str, shape: list[int]) -> Message:
@@ -204,7 +220,7 @@ class _BreaksOnce(PdTracker):
         targets = super().act(character_ids, observations)
         return targets * np.nan if self.acts == 11 else targets
 
-    spec = TrackerSpec(name="pd", version="1", skeleton="human22", fps=30, drives="actions")
+    spec = TrackerSpec(name="pd", version="1", skeleton="human22", fps=30, action_spaces=(SERVO_TARGETS,))
 
 
 @pytest.fixture
