@@ -204,7 +204,7 @@ def _expect(condition: bool, otherwise: str) -> None:
 def _spec(probe: PlannerProbe) -> None:
     spec = probe.spec
     _expect(spec.skeleton == CANONICAL.id, f"skeleton {spec.skeleton!r}, not {CANONICAL.id!r}")
-    planner_spec(spec.model_dump())
+    planner_spec(dict(spec))
     unknown = set(spec.conditions) - set(CONDITIONS)
     _expect(not unknown, f"unknown conditions {sorted(unknown)}, allowed {CONDITIONS}")
 

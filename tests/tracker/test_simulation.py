@@ -32,7 +32,7 @@ def test_the_model_weighs_what_it_should() -> None:
 def test_standing_stays_standing_on_both_feet() -> None:
     character = make(heading_rad=1.0, xy_w_m=(2.0, -1.0))
     samples = character.step(45)
-    assert samples["body_pos_w_m"].shape == (90, 22, 3)
+    assert samples["body_pos_w_m"].shape == (180, 22, 3)
     assert samples["tracking_error_m"].max() < 0.06
     assert samples["contacts"][-1].sum() >= 2
     assert not samples["fallen"].any()
@@ -76,7 +76,7 @@ def test_kinematic_shows_the_plan_itself() -> None:
     samples = character.step(57)
     # Tick 3 k is frame 2 k: sample index 6 k - 1 of what step returned is plan frame 2 k - 1.
     for k in (1, 5, 18):
-        np.testing.assert_allclose(samples["body_pos_w_m"][6 * k - 1], plan[2 * k - 1], atol=1e-3)
+        np.testing.assert_allclose(samples["body_pos_w_m"][12 * k - 1], plan[2 * k - 1], atol=1e-3)
     assert samples["tracking_error_m"].max() < 0.01
 
 
@@ -133,7 +133,7 @@ def test_scene_objects_take_part() -> None:
     )
     character = SimulatedCharacter(build_scene(HUMANOID, scene), make_tracker("pd", HUMANOID))
     samples = character.step(45)
-    assert samples["object_pose_w"].shape == (90, 2, 7)
+    assert samples["object_pose_w"].shape == (180, 2, 7)
     assert samples["object_pose_w"][-1, 0, 2] == pytest.approx(0.2, abs=0.01)
     np.testing.assert_allclose(samples["object_pose_w"][-1, 1, :3], [4, 0, 1])
 

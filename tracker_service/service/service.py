@@ -313,8 +313,7 @@ class TrackerService:
         return self.character(envelope.character_id).snapshot()
 
     def _restore(self, envelope: Envelope, message: Restore) -> StateFrame:
-        character_id = _id_of(envelope.character_id)
-        meta = message.meta
+        character_id, meta = _id_of(envelope.character_id), message.meta
         check_format(meta)
         names = {}
         for key in ("character", "scene", "tracker", "pacing"):
