@@ -29,6 +29,7 @@ from tracker_service.simulation.kinematics import BodyKinematics, BodyStates
 from tracker_service.simulation.reference import TICK_HZ
 from tracker_service.training import rewards
 from tracker_service.training.dataset import ReferenceSet
+from tracker_service.training.sampling import FailureTable
 
 F32 = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int64]
@@ -113,8 +114,8 @@ class TrackingEnv:
         self.age = np.zeros(b, dtype=np.int64)
         self.jump_m = np.zeros((b, 2))
         self.previous_action = np.zeros((b, h), dtype=np.float32)
-        self.fail_rate = np.full(len(references), 0.5)
-        self.behaviour_groups = np.unique(references.behaviours)
+        self.begun = np.zeros(b, dtype=np.int64)
+        self.failures = FailureTable(references.length, references.weight, settings.fail_floor, 2 * _TAIL_TICKS)
         self.ratio = human.damping / human.stiffness
         self.observation_size = observation_size(len(human.skeleton), h)
         self.hinges = h
@@ -136,6 +137,7 @@ class TrackingEnv:
         """Put environment i at the start of clips[i], without noise (evaluation); first observations."""
         self.clip[:] = clips
         self.time[:] = 0
+        self.begun[:] = 0
         self.age[:] = 0
         self.jump_m[:] = 0
         self.previous_action[:] = 0
@@ -143,21 +145,10 @@ class TrackingEnv:
         self._set(np.arange(len(clips)), self.references.qpos[frames], self.references.qvel[frames])
         return self.observe()
 
-    def clip_probabilities(self) -> npt.NDArray[np.float64]:
-        """(C,) chance of each clip: its weight, more for those that fail now and then: f (1 - f) is largest where most
-        is to be learnt, and neither clips that are mastered nor those still out of reach fill the batch."""
-        usable = self.references.length > 2 * _TAIL_TICKS
-        f = self.fail_rate
-        p = self.references.weight * (self.settings.fail_floor + 4.0 * f * (1.0 - f)) * usable
-        return np.asarray(p / p.sum())
-
     def _begin(self, rows: Ints) -> None:
         rng, s, n = self.rng, self.settings, len(rows)
-        clips = rng.choice(len(self.references), size=n, p=self.clip_probabilities())
-        room = self.references.length[clips] - 2 * _TAIL_TICKS
-        times = (rng.random(n) * room).astype(np.int64)
-        times[rng.random(n) < 0.15] = 0
-        self.clip[rows], self.time[rows], self.age[rows] = clips, times, 0
+        clips, times = self.failures.draw(rng, n)
+        self.clip[rows], self.time[rows], self.begun[rows], self.age[rows] = clips, times, times, 0
         self.jump_m[rows] = 0
         self.previous_action[rows] = 0
         frames = self.references.start[clips] + times
@@ -306,8 +297,8 @@ class TrackingEnv:
         truncated = self.over() & ~terminated & ~exploded
         final = self.observe()
         rows = np.flatnonzero(terminated | truncated | exploded)
-        for clip, fail in zip(self.clip[rows], (terminated | exploded)[rows], strict=True):
-            self.fail_rate[clip] += 0.1 * (float(fail) - self.fail_rate[clip])
+        for row, fail in zip(rows, (terminated | exploded)[rows], strict=True):
+            self.failures.note(int(self.clip[row]), int(self.begun[row]), int(self.time[row]), bool(fail))
         if len(rows):
             self._begin(rows)
         disturbed = self._disturb()

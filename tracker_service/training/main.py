@@ -16,7 +16,7 @@ import typer
 from shared.console import errors_for_people
 from shared.data.corpus import Corpus
 from tracker_service.simulation.character_spec import HUMAN
-from tracker_service.simulation.humanoid import humanoid
+from tracker_service.simulation.humanoid import Humanoid, humanoid
 from tracker_service.training.dataset import (
     MotionInput,
     ReferenceSet,
@@ -44,14 +44,37 @@ def motions(corpus: Corpus, split: str, mirrored: bool = True) -> list[MotionInp
     ]
 
 
-def references(corpus_dir: Path, split: str, cache: Path, say: Callable[[str], None]) -> ReferenceSet:
+def references(
+    corpus_dir: Path, split: str, cache: Path, say: Callable[[str], None], human: Humanoid | None = None
+) -> ReferenceSet:
     """Prepared references of a split; held-out clips are not judged twice by their mirror images."""
 
     def progress(what: str, share: float) -> None:
         say(f"{what}: {100 * share:.0f} %")
 
     corpus = Corpus.load(corpus_dir)
-    return prepare_cached(humanoid(HUMAN), motions(corpus, split, mirrored=split == "train"), cache, progress)
+    return prepare_cached(human or humanoid(HUMAN), motions(corpus, split, mirrored=split == "train"), cache, progress)
+
+
+def training_sets(
+    human: Humanoid, corpus: Path, cache: Path, focus: dict[str, float], bank: Path | None, bank_share: float,
+    say: Callable[[str], None],
+) -> tuple[ReferenceSet, ReferenceSet]:  # fmt: skip
+    """What is trained on and what is held out, prepared; arguments as for `train`."""
+    train_set = references(corpus, "train", cache, say, human)
+    heldout_set = references(corpus, "heldout", cache, say, human)
+    jumping = largest_change_rad(train_set) > LARGEST_CHANGE_RAD
+    say(f"{int(jumping.sum())} clips left out: a hinge jumps by more than {LARGEST_CHANGE_RAD:g} rad in a tick")
+    train_set = replace(train_set, weight=train_set.weight * ~jumping)
+    factors = np.array([focus.get(str(name), 1.0) for name in train_set.behaviours])
+    train_set = replace(train_set, weight=train_set.weight * factors)
+    if bank is not None:
+        pieces = load_bank(bank)
+        kept, heldout = ([p for i, p in enumerate(pieces) if (i % HELDOUT_PIECE == 0) is out] for out in (False, True))
+        train_set = concatenated(train_set, prepare_cached(human, kept, cache), bank_share)
+        heldout_set = concatenated(heldout_set, prepare_cached(human, heldout, cache), 0.5)
+    say(f"{len(train_set)} clips, {len(train_set.qpos) / 1800:.1f} min to train on; {len(heldout_set)} held out")
+    return train_set, heldout_set
 
 
 def train(
@@ -72,20 +95,7 @@ def train(
     """
     torch.set_num_threads(threads)
     human = humanoid(HUMAN)
-    cache = out / "cache"
-    train_set = references(corpus, "train", cache, say)
-    heldout_set = references(corpus, "heldout", cache, say)
-    jumping = largest_change_rad(train_set) > LARGEST_CHANGE_RAD
-    say(f"{int(jumping.sum())} clips left out: a hinge jumps by more than {LARGEST_CHANGE_RAD:g} rad in a tick")
-    train_set = replace(train_set, weight=train_set.weight * ~jumping)
-    factors = np.array([(focus or {}).get(str(name), 1.0) for name in train_set.behaviours])
-    train_set = replace(train_set, weight=train_set.weight * factors)
-    if bank is not None:
-        pieces = load_bank(bank)
-        kept, heldout = ([p for i, p in enumerate(pieces) if (i % HELDOUT_PIECE == 0) is out] for out in (False, True))
-        train_set = concatenated(train_set, prepare_cached(human, kept, cache), bank_share)
-        heldout_set = concatenated(heldout_set, prepare_cached(human, heldout, cache), 0.5)
-    say(f"{len(train_set)} clips, {len(train_set.qpos) / 1800:.1f} min to train on; {len(heldout_set)} held out")
+    train_set, heldout_set = training_sets(human, corpus, out / "cache", focus or {}, bank, bank_share, say)
     stop = False
 
     def ask_to_stop(signum: int, frame: object) -> None:

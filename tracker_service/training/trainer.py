@@ -136,7 +136,7 @@ class Trainer:
             "error_m": float(np.mean(errors)),
             "survived": float(r.truncated.sum() / max(ended, 1)),
             "exploded": float(r.exploded.sum()),
-            "fail_rate": float(np.average(env.fail_rate, weights=env.references.weight)),
+            "fail_rate": float(np.average(env.failures.by_clip(), weights=env.references.weight)),
         }
         normalized = self.normalizer(torch.from_numpy(r.observations.reshape(-1, env.observation_size)))
         return r, normalized, facts
@@ -215,8 +215,9 @@ class Trainer:
             "clip_names": [str(name) for name in env.references.names],
             "env": {
                 name: torch.from_numpy(np.array(getattr(env, name)))
-                for name in ("state", "clip", "time", "age", "jump_m", "previous_action", "fail_rate")
+                for name in ("state", "clip", "time", "age", "jump_m", "previous_action", "begun")
             },
+            "failures": torch.from_numpy(env.failures.rate.copy()),
             "observation": torch.from_numpy(self.observation.copy()),
         }
         partial = path.with_suffix(".partial")
@@ -240,10 +241,9 @@ class Trainer:
         env = self.env
         same = state["clip_names"] == [str(name) for name in env.references.names]
         if weights_only or not same or len(state["env"]["clip"]) != env.settings.envs:
-            rates = dict(zip(state["clip_names"], state["env"]["fail_rate"].tolist(), strict=True))
-            env.fail_rate = np.array([rates.get(str(n), 0.5) for n in env.references.names])
             self.observation = env.reset_all()
             return
+        env.failures.rate[:] = state["failures"].numpy()
         self.rng.bit_generator.state, env.rng.bit_generator.state = json.loads(state["rng"])
         for name, value in state["env"].items():
             setattr(env, name, value.numpy().copy())

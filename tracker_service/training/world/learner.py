@@ -1,0 +1,255 @@
+"""The three updates: the model on windows of what happened, the critic on returns, the policy on imagined ticks."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from tracker_service.policy.observations import PREVIEW_TICKS
+from tracker_service.simulation.humanoid import Humanoid
+from tracker_service.training.dataset import ReferenceSet
+from tracker_service.training.env import EnvSettings
+from tracker_service.training.network import mlp
+from tracker_service.training.world.body import Kinematics, Mirror, State, tensor
+from tracker_service.training.world.imagination import Imagination, Sight, can_compile, mixed
+from tracker_service.training.world.model import WorldModel, model_loss
+from tracker_service.training.world.replay import Places, Replay
+from tracker_service.training.world.settings import WorldSettings
+from tracker_service.training.world.sight import Reference, observe, still_tracked
+
+F32 = npt.NDArray[np.float32]
+MODEL_GRADIENT_NORM = 5.0
+TARGET_CRITIC_SHARE = 0.01
+SATURATION_COST = 0.002
+TAIL_TICKS = max(PREVIEW_TICKS) + 1
+
+
+def has_bf16() -> bool:
+    """Whether matrix products in bfloat16 are fast here: elsewhere they are twenty times slower than float32."""
+    return bool(torch.backends.cpu.get_cpu_capability() == "AVX512" and torch.cpu._is_avx512_bf16_supported())
+
+
+@dataclass(frozen=True)
+class References:
+    """A `ReferenceSet` as tensors; see there."""
+
+    pos_w_m: Tensor
+    linvel_w_mps: Tensor
+    rot_xy: Tensor
+    qpos: Tensor
+    qvel: Tensor
+    start: Tensor
+    length: Tensor
+
+    @classmethod
+    def of(cls, s: ReferenceSet, device: torch.device | str) -> References:
+        """On the device."""
+        arrays = [tensor(a, device) for a in (s.pos_w_m, s.linvel_w_mps, s.rot_xy, s.qpos, s.qvel)]
+        return cls(*arrays, torch.from_numpy(s.start).to(device), torch.from_numpy(s.length).to(device))
+
+    def at(self, clip: Tensor, time: Tensor, jump_m: Tensor, decay: float) -> Reference:
+        """What is previewed at a tick (B,) of clips (B,), displaced by jumps (B, 2) that decay from now on."""
+        last = self.length[clip] - 1
+
+        def frame(ahead: int) -> Tensor:
+            return self.start[clip] + torch.minimum(time + ahead, last)
+
+        near, far = PREVIEW_TICKS
+        one, later = frame(near), frame(far)
+        shift = torch.cat([jump_m, torch.zeros_like(jump_m[:, :1])], -1)[:, None]
+        return Reference(
+            pos_w_m=self.pos_w_m[one] + shift * decay**near,
+            later_pos_w_m=self.pos_w_m[later] + shift * decay**far,
+            linvel_w_mps=self.linvel_w_mps[one],
+            rot_xy=self.rot_xy[one],
+            qvel=self.qvel[one],
+            hinge_rad=self.qpos[one, 7:],
+            after_rad=self.qpos[frame(2), 7:],
+            later_rad=self.qpos[later, 7:],
+        )
+
+
+class Learner:
+    """Networks, their optimisers and their updates.
+
+    Args:
+        heights: how many support heights the observation ends with (zeros on a flat floor).
+    """
+
+    def __init__(
+        self, human: Humanoid, references: ReferenceSet, env: EnvSettings, settings: WorldSettings,
+        observation: int, heights: int, device: torch.device | str = "cpu",
+    ):  # fmt: skip
+        s, hinges, bodies = settings, len(human.hinges), len(human.skeleton)
+        self.settings, self.env, self.device, self.heights = s, env, device, heights
+        self.references = References.of(references, device)
+        self.kinematics = Kinematics(human, device)
+        self.mirror = Mirror(human, device)
+        self.sight = Sight(observation).to(device)
+        self.actor = mlp([observation, *s.hidden, hinges], 0.01).to(device)
+        self.critic = mlp([observation, *s.hidden, 1], 0.05).to(device)
+        self.model = WorldModel(bodies, hinges, heights, s.model_hidden).to(device)
+        self.averaged = deepcopy(self.actor)
+        self.target_critic = deepcopy(self.critic)
+        self.bf16 = has_bf16() if s.bf16 is None else s.bf16
+        self.compiled = can_compile() if s.compiled is None else s.compiled
+        self.imagination = Imagination(
+            human, env, self.kinematics, self.sight, self.actor, self.model, self.bf16, self.compiled, device
+        )
+        self.optimizers = {
+            "actor": torch.optim.Adam(self.actor.parameters(), lr=s.policy_rate, eps=1e-5),
+            "critic": torch.optim.Adam(self.critic.parameters(), lr=s.critic_rate),
+            "model": torch.optim.Adam(self.model.parameters(), lr=s.model_rate, eps=1e-6),
+        }
+        self.policy_updates = 0
+
+    def modules(self) -> dict[str, nn.Module]:
+        """Everything with weights, by name."""
+        return {
+            "actor": self.actor, "averaged": self.averaged, "critic": self.critic, "target_critic": self.target_critic,
+            "model": self.model, "sight": self.sight,
+        }  # fmt: skip
+
+    @torch.no_grad()
+    def act(self, observation: F32, averaged: bool = False) -> F32:
+        """(B, H) actions without exploration."""
+        net = self.averaged if averaged else self.actor
+        out: Tensor = net(self.sight(torch.from_numpy(observation).to(self.device)))
+        return np.asarray(out.cpu().numpy(), dtype=np.float32)
+
+    def value(self, observation: Tensor, target: bool = False) -> Tensor:
+        """(B,) worth of raw observations (B, D)."""
+        net = self.target_critic if target else self.critic
+        return mixed(net, self.sight(observation), self.bf16).squeeze(-1)
+
+    def _tensor(self, array: npt.NDArray[np.generic]) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
+
+    def state_at(self, replay: Replay, index: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]) -> State:
+        """States (N,) at places of the ring."""
+        return State.of(self._tensor(replay.qpos[index]), self._tensor(replay.qvel[index]))
+
+    def _heights(self, count: int) -> Tensor:
+        return torch.zeros(count, self.heights, device=self.device)
+
+    @torch.no_grad()
+    def take_normalisation(self, replay: Replay, rng: np.random.Generator, sight: bool, model: bool) -> None:
+        """Spread of observations, and of the model's features and changes, from what is in the ring."""
+        places = replay.draw(rng, 8192, 1)
+        if model:
+            s, n = self.state_at(replay, places.later(0)), self.state_at(replay, places.later(1))
+            target = self._tensor(replay.target[places.later(0)])
+            self.model.normalize_by(s, self.kinematics(s), target, self._heights(len(target)), n)
+        if sight:
+            seen = self._tensor(replay.observation[places.later(0)])
+            self.sight.mean.copy_(seen.mean(0))
+            self.sight.std.copy_(seen.std(0).clamp(min=0.02))
+
+    def update_model(self, replay: Replay, rng: np.random.Generator) -> dict[str, float]:
+        """One step on windows of the ring, some of them in the mirror."""
+        s = self.settings
+        places = replay.draw(rng, s.model_batch, s.model_ticks)
+        count = len(places.slot)
+        if count < s.model_batch:  # a compiled tick knows one batch size
+            return {}
+        which = torch.from_numpy(rng.random(count) < s.mirrored_share).to(self.device)
+        state = self.mirror.some(self.state_at(replay, places.later(0)), which)
+        bodies, heights = self.kinematics(state), self._heights(count)
+        loss = torch.zeros((), device=self.device)
+        first = 0.0
+        for k in range(s.model_ticks):
+            target = self.mirror.some_hinges(self._tensor(replay.target[places.later(k)]), which)
+            state, bodies = self.imagination.model_tick(state, bodies, target, heights)
+            true = self.mirror.some(self.state_at(replay, places.later(k + 1)), which)
+            loss = loss + model_loss(self.model, state, true)
+            if k == 0:
+                scale = self.model.scale[6 : 6 + self.model.hinges]
+                first = float(((state.rate_radps - true.rate_radps) / scale).detach().abs().mean())
+        loss = loss / s.model_ticks
+        self._step("model", self.model, loss, MODEL_GRADIENT_NORM)
+        drift = (state.pos_w_m - true.pos_w_m).detach().norm(dim=-1).mean()
+        return {"model_loss": float(loss.detach()), "model_one_tick": first, "model_drift_mm": 1e3 * float(drift)}
+
+    def update_critic(self, replay: Replay, rng: np.random.Generator) -> dict[str, float]:
+        """One step on n-step returns, bootstrapped by the slowly moving target critic."""
+        s = self.settings
+        places, total, after, factor = replay.returns(rng, s.critic_batch, s.critic_ticks, s.gamma)
+        with torch.no_grad():
+            rest = self.value(self._tensor(replay.observation[after.later(0)]), target=True)
+            wanted = self._tensor(total) + self._tensor(factor) * rest
+        value = self.value(self._tensor(replay.observation[places.later(0)]))
+        loss = ((value - wanted) ** 2).mean()
+        self._step("critic", self.critic, loss, None)
+        with torch.no_grad():
+            for slow, now in zip(self.target_critic.parameters(), self.critic.parameters(), strict=True):
+                slow.lerp_(now, TARGET_CRITIC_SHARE)
+        explained = 1.0 - float(loss.detach()) / (float(wanted.var()) + 1e-8)
+        return {"critic_loss": float(loss.detach()), "critic_explained": explained}
+
+    def update_policy(self, replay: Replay, rng: np.random.Generator) -> dict[str, float]:
+        """One step up the gradient of imagined reward and the critic's value where imagination ends."""
+        s, env = self.settings, self.env
+        places: Places = replay.draw(rng, s.policy_batch, 1, s.recent_ticks)
+        if len(places.slot) < s.policy_batch:
+            return {}
+        index = places.later(0)
+        state = self.state_at(replay, index)
+        clip, time = self._tensor(replay.clip[index]), self._tensor(replay.time[index])
+        jump = self._tensor(replay.jump_m[index])
+        previous = self._tensor(replay.previous_action[index]).float()
+        heights = self._heights(len(clip))
+        for module in (self.model, self.critic):
+            module.requires_grad_(False)
+        bodies = self.kinematics(state)
+        total = torch.zeros(len(clip), device=self.device)
+        alive = torch.ones_like(total)
+        beyond = torch.zeros((), device=self.device)
+        power = torch.zeros((), device=self.device)
+        for k in range(s.horizon):
+            ref = self.references.at(clip, time + k, jump * env.jump_decay**k, env.jump_decay)
+            seen = self.imagination.tick(state, bodies, ref, heights)
+            state, bodies = seen.state, seen.bodies
+            action = seen.action.clamp(-1.0, 1.0)
+            reward = seen.reward - s.smoothness * ((action - previous) ** 2).mean(-1) - s.power * seen.power_kw
+            previous = action
+            total = total + alive * (1.0 - s.gamma) * s.gamma**k * reward
+            beyond = beyond + ((seen.action.abs() - 1.0).clamp(min=0) ** 2).sum(-1).mean()
+            power = power + seen.power_kw.detach().mean()
+            alive = alive * still_tracked(seen.distance_m.detach(), env.stop_mean_m, env.stop_max_m)
+        ref = self.references.at(clip, time + s.horizon, jump * env.jump_decay**s.horizon, env.jump_decay)
+        last = observe(state, bodies, ref, heights)
+        total = total + alive * s.gamma**s.horizon * self.value(last)
+        # A clip's last ticks, where the preview stands still, are never simulated: the critic knows nothing of them.
+        inside = (time + s.horizon < self.references.length[clip] - TAIL_TICKS).float()
+        worth = (total * inside).sum() / inside.sum().clamp(min=1.0)
+        loss = -worth + SATURATION_COST * beyond / s.horizon
+        norm = self._step("actor", self.actor, loss, s.policy_gradient_norm)
+        for module in (self.model, self.critic):
+            module.requires_grad_(True)
+        self.policy_updates += 1
+        self._average()
+        return {
+            "imagined_worth": float(worth.detach()), "imagined_error_m": float(seen.distance_m.detach().mean()),
+            "imagined_alive": float(alive.mean()), "policy_gradient": norm, "power_kw": float(power) / s.horizon,
+        }  # fmt: skip
+
+    def _step(self, name: str, module: nn.Module, loss: Tensor, norm: float | None) -> float:
+        optimizer = self.optimizers[name]
+        optimizer.zero_grad()
+        loss.backward()
+        size = float(nn.utils.clip_grad_norm_(module.parameters(), norm if norm is not None else float("inf")))
+        # One batch of exploded imagination must not end up in Adam's moments.
+        if np.isfinite(size):
+            optimizer.step()
+        return size
+
+    @torch.no_grad()
+    def _average(self) -> None:
+        keep = min(self.settings.averaging, (1 + self.policy_updates) / (10 + self.policy_updates))
+        for mean, now in zip(self.averaged.parameters(), self.actor.parameters(), strict=True):
+            mean.lerp_(now, 1.0 - keep)
