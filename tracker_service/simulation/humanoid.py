@@ -2,7 +2,8 @@
 
 Every joint of the skeleton is a body whose frame coincides with the skeleton's joint frame (T-pose aligned), so body
 positions and rotations of the simulation are joint positions and rotations of the motion. Hinges: see
-`tracker_service.simulation.hinges`. The body collides with the world, not with itself.
+`tracker_service.simulation.hinges`. The body collides with the world; of itself, forearms and hands collide with the trunk,
+the thighs and each other, and the thighs with each other (3 % of a step's time; recorded motion overlaps elsewhere).
 """
 
 from __future__ import annotations
@@ -26,8 +27,14 @@ TRUNK = ("pelvis", "spine1", "spine2", "spine3", "neck", "head")
 """Bodies that touch the floor only when fallen or lying."""
 FEET = ("left_ankle", "left_foot", "right_ankle", "right_foot")
 
-# contype/conaffinity bits: the world collides with everything, the humanoid only with the world.
-WORLD_BIT, BODY_BIT = 1, 2
+# contype/conaffinity bits: the world collides with everything; arms and thighs also with what they may not enter.
+WORLD_BIT, BODY_BIT, ARM_BIT, TRUNK_BIT, THIGH_BIT = 1, 2, 4, 8, 16
+_SELF_BITS = {
+    **dict.fromkeys(("elbow", "wrist"), (ARM_BIT, ARM_BIT | TRUNK_BIT | THIGH_BIT)),
+    **dict.fromkeys(("pelvis", "spine1", "spine2", "spine3", "head"), (TRUNK_BIT, 0)),
+    "hip": (THIGH_BIT, THIGH_BIT),
+}
+"""Own and sought bits of the kinds of bodies that take part in self-collision."""
 
 _TRUE = mujoco.mjtLimited.mjLIMITED_TRUE
 
@@ -172,13 +179,14 @@ def humanoid_spec(human: Humanoid) -> mujoco.MjSpec:
                 )
         bodies.append(body)
         shapes = _geoms(skeleton, name)
+        own, sought = _SELF_BITS.get(name.removeprefix("left_").removeprefix("right_"), (0, 0))
         for k, shape in enumerate(shapes):
             body.add_geom(
                 name=f"{name}_geom{k}",
                 mass=character.body_mass_kg(name) / len(shapes),
                 friction=[character.sole_friction, 0.005, 0.0001],
-                contype=BODY_BIT,
-                conaffinity=WORLD_BIT,
+                contype=BODY_BIT | own,
+                conaffinity=WORLD_BIT | sought,
                 rgba=[0.80, 0.62, 0.48, 1] if "right" not in name else [0.55, 0.62, 0.80, 1],
                 **shape,
             )
