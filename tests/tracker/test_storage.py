@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracker_service.training.storage import Rollout, advantages, n_tick_worth, valid
+from tracker_service.training.storage import Rollout, advantages, valid
 
 
 def rollout() -> Rollout:
@@ -35,19 +35,3 @@ def test_by_hand() -> None:
     np.testing.assert_allclose(got[:, 3], [1.7, 0.0, last], rtol=1e-6)
     assert not valid(r)[1, 3]
     assert valid(r).sum() == 11
-
-
-def test_worth_of_two_ticks_by_hand() -> None:
-    r = rollout()
-    after = np.full((3, 4), 10.0, np.float32)
-    r.terminated[1, 1] = True
-    r.truncated[0, 2] = True
-    unfit = np.zeros((3, 4), bool)
-    unfit[0, 3] = True
-    worth, fit = n_tick_worth(r, after, unfit, 0.5, 2)
-    # Rewards of 1, scaled by 1 - gamma: 0.5 + 0.5 x 0.5, then 0.25 x 10; the last step has one tick left.
-    np.testing.assert_allclose(worth[:, 0], [0.75 + 2.5, 0.75 + 2.5, 0.5 + 5.0])
-    np.testing.assert_allclose(worth[:, 1], [0.75, 0.5, 0.5 + 5.0])
-    np.testing.assert_allclose(worth[0, 2], 0.5 + 5.0)
-    assert fit[:, 3].tolist() == [False, True, True]
-    assert fit[:, :3].all()

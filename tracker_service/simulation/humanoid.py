@@ -2,8 +2,8 @@
 
 Every joint of the skeleton is a body whose frame coincides with the skeleton's joint frame (T-pose aligned), so body
 positions and rotations of the simulation are joint positions and rotations of the motion. Hinges: see
-`tracker_service.simulation.hinges`. The body collides with the world; of itself, forearms and hands collide with the trunk,
-the thighs and each other, and the thighs with each other (3 % of a step's time; recorded motion overlaps elsewhere).
+`tracker_service.simulation.hinges`. The body collides with the world; of itself, forearms and hands collide with the
+trunk, the thighs and each other, and the thighs with each other (3 % of a step's time).
 """
 
 from __future__ import annotations

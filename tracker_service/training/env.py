@@ -7,8 +7,6 @@ the preview never runs over the clip's last tick.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import mujoco
@@ -267,18 +265,6 @@ class TrackingEnv:
         )
         self.previous_action = clipped
         return distance, np.asarray(reward, dtype=np.float32), exploded
-
-    @contextmanager
-    def what_if(self) -> Iterator[None]:
-        """Ticks advanced inside this context are forgotten when it ends."""
-        names = ("state", "time", "age", "jump_m", "previous_action", "_bodies")
-        kept = {name: getattr(self, name) for name in names}
-        self.time, self.age, self.jump_m = self.time.copy(), self.age.copy(), self.jump_m.copy()
-        try:
-            yield
-        finally:
-            for name, value in kept.items():
-                setattr(self, name, value)
 
     def failed(self, distance: F32) -> Bools:
         """(B,) whether joint distances (B, J) end an episode."""

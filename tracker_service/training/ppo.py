@@ -1,10 +1,6 @@
 """The PPO update (Schulman et al. 2017) with a learning rate that holds the KL divergence near a target.
 
-The advantage of an action can be measured in two ways. The classical one is the generalised advantage estimate; with
-40 servos and few environments most of its variance has nothing to do with the action (we measured a cosine of 0.01
-between the gradients of two independent rollouts). The antithetic one simulates each state twice, with the sampled
-action mean + noise and with mean - noise, and takes half the difference of reward + discounted value: what does not
-depend on the noise cancels exactly. Values are learnt from the generalised estimate either way.
+It is what learning through a world model is compared with (`tracker_service.training.world`).
 """
 
 from __future__ import annotations
@@ -29,7 +25,6 @@ class PpoSettings(BaseModel):
     steps: int = Field(default=8, gt=0)
     gamma: float = 0.97
     lam: float = 0.8
-    antithetic_ticks: int = Field(default=4, ge=0)
     clip: float = 0.25
     epochs: int = 3
     minibatches: int = 2
@@ -74,7 +69,7 @@ class PpoUpdater:
         advantage = advantages(scaled, s.gamma, s.lam)
         returns = torch.from_numpy((advantage + r.values).reshape(-1))
         keep = np.flatnonzero(valid(r).reshape(-1))
-        flat = (r.contrast if s.antithetic_ticks else advantage).reshape(-1)
+        flat = advantage.reshape(-1)
         adv = torch.from_numpy((flat - flat[keep].mean()) / (flat[keep].std() + 1e-8))
         actions = torch.from_numpy(r.actions.reshape(-1, r.actions.shape[-1]))
         old = torch.from_numpy(r.log_probs.reshape(-1))

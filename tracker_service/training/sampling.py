@@ -11,8 +11,8 @@ Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 
 BIN_TICKS = int(TICK_HZ)
-RISE, FALL = 0.1, 0.05
-"""How much one failure or one passage moves a rate."""
+STEP = 0.1
+"""How far one failure or one passage moves a rate."""
 FROM_START_SHARE = 0.15
 
 
@@ -62,10 +62,10 @@ class FailureTable:
         """An episode of a clip went from one tick to another, and failed there or not."""
         first = int(self.first[clip])
         last = first + min(end_tick // BIN_TICKS, int(self.bins[clip]) - 1)
-        # What was entered in full second's time and left again was passed.
-        passed = slice(first + -(-begin_tick // BIN_TICKS), max(last - (1 if failed else 0), first))
-        self.rate[passed] -= FALL * self.rate[passed]
+        # The mistake was made before the distance showed it: the second before the last counts as failed too.
+        stop = last - 1 if failed else first + min(round(end_tick / BIN_TICKS), int(self.bins[clip]))
+        passed = slice(first + round(begin_tick / BIN_TICKS), max(stop, first))
+        self.rate[passed] -= STEP * self.rate[passed]
         if failed:
-            # The mistake was made before the distance showed it.
             for place in {last, max(last - 1, first)}:
-                self.rate[place] += RISE * (1.0 - self.rate[place])
+                self.rate[place] += STEP * (1.0 - self.rate[place])

@@ -20,8 +20,6 @@ class Rollout:
         terminated, truncated, exploded: (S, B).
         truncated_values: (S, B) value of the final observation where truncated, else 0.
         last_values: (B,) value after the last step.
-        contrast: (S, B) half the difference of what the action and its mirror image about the mean would bring
-            (antithetic advantage), or zeros where it is not measured.
     """
 
     observations: F32
@@ -34,7 +32,6 @@ class Rollout:
     exploded: Bools
     truncated_values: F32
     last_values: F32
-    contrast: F32
 
     @classmethod
     def empty(cls, steps: int, envs: int, observation: int, action: int) -> Rollout:
@@ -48,7 +45,7 @@ class Rollout:
 
         return cls(
             np.zeros((steps, envs, observation), np.float32), np.zeros((steps, envs, action), np.float32),
-            grid(), grid(), grid(), flags(), flags(), flags(), grid(), np.zeros(envs, np.float32), grid(),
+            grid(), grid(), grid(), flags(), flags(), flags(), grid(), np.zeros(envs, np.float32),
         )  # fmt: skip
 
 
@@ -74,31 +71,3 @@ def advantages(r: Rollout, gamma: float, lam: float) -> F32:
 def valid(r: Rollout) -> Bools:
     """(S, B) samples fit for learning: all but the steps that exploded."""
     return ~r.exploded
-
-
-def n_tick_worth(r: Rollout, after: F32, unfit: Bools, gamma: float, ticks: int) -> tuple[F32, Bools]:
-    """Scaled rewards of the next `ticks` steps (fewer at the rollout's end) plus the discounted value after them.
-
-    Args:
-        after: (S, B) value of the observation right after each step.
-        unfit: (S, B) where something outside the policy's hands happened after the step.
-
-    Returns:
-        worth (S, B), and where nothing unfit or exploded lies within the ticks counted.
-    """
-    steps = len(r.rewards)
-    worth = np.zeros_like(r.rewards)
-    fit = np.ones_like(r.terminated)
-    for t in range(steps):
-        alive = np.ones(r.rewards.shape[1], dtype=bool)
-        last = min(t + ticks, steps) - 1
-        for k in range(t, last + 1):
-            discount = np.float32(gamma ** (k - t))
-            worth[t] += alive * np.float32(1.0 - gamma) * discount * r.rewards[k]
-            fit[t] &= ~(alive & r.exploded[k])
-            alive = alive & ~(r.terminated[k] | r.exploded[k])
-            closing = alive & (r.truncated[k] | (k == last))
-            worth[t] += closing * discount * np.float32(gamma) * after[k]
-            alive = alive & ~closing
-            fit[t] &= ~(alive & unfit[k])
-    return worth, fit

@@ -21,7 +21,7 @@ from tracker_service.training.env import EnvSettings, TrackingEnv
 from tracker_service.training.evaluate import evaluate
 from tracker_service.training.network import ActorCritic, Normalizer, log_prob
 from tracker_service.training.ppo import PpoSettings, PpoUpdater, to_numpy
-from tracker_service.training.storage import Rollout, n_tick_worth
+from tracker_service.training.storage import Rollout
 
 F32 = npt.NDArray[np.float32]
 AVERAGED_ITERATIONS = 100
@@ -100,11 +100,7 @@ class Trainer:
         spread = net.spread()
         deviation = to_numpy(spread.exp())
         errors = []
-        b = env.settings.envs
-        noise = self.rng.standard_normal((s.steps, b, env.hinges), dtype=np.float32)
-        shadow = np.zeros((s.steps, b), np.float32)
-        after = np.zeros((s.steps, b), np.float32)
-        unfit = np.zeros((s.steps, b), bool)
+        noise = self.rng.standard_normal((s.steps, env.settings.envs, env.hinges), dtype=np.float32)
         for t in range(s.steps):
             x = self.normalizer(torch.from_numpy(self.observation))
             mean = net.actor(x)
@@ -112,21 +108,12 @@ class Trainer:
             r.observations[t], r.actions[t] = self.observation, action
             r.log_probs[t] = to_numpy(log_prob(mean, spread, torch.from_numpy(action)))
             r.values[t] = to_numpy(net.value(x))
-            ticks = min(s.antithetic_ticks, s.steps - t)
-            if ticks:
-                mirrored = to_numpy(mean) - deviation * noise[t]
-                shadow[t] = self._shadow(mirrored, deviation * noise[t + 1 : t + ticks], ticks)
             result = env.step(action)
             r.rewards[t], r.terminated[t] = result.reward, result.terminated
             r.truncated[t], r.exploded[t] = result.truncated, result.exploded
-            unfit[t, result.disturbed] = True
-            after[t] = self._values(result.final_observation)
-            r.truncated_values[t] = np.where(result.truncated, after[t], 0.0)
+            r.truncated_values[t] = np.where(result.truncated, self._values(result.final_observation), 0.0)
             errors.append(float(result.error_m.mean()))
             self.observation = result.observation
-        if s.antithetic_ticks:
-            worth, fit = n_tick_worth(r, after, unfit, s.gamma, s.antithetic_ticks)
-            r.contrast = np.where(fit, (worth - shadow) / 2, 0.0).astype(np.float32)
         r.last_values = self._values(self.observation)
         self.samples += s.steps * env.settings.envs
         ended = int(r.terminated.sum() + r.truncated.sum())
@@ -144,25 +131,6 @@ class Trainer:
     def _values(self, observation: F32) -> F32:
         """(B,) values of raw observations (B, D)."""
         return to_numpy(self.network.value(self.normalizer(torch.from_numpy(observation))))
-
-    def _shadow(self, action: F32, noise: F32, ticks: int) -> F32:
-        """Worth (B,) of acting otherwise now and then as the policy does, with the noise (ticks - 1, B, H)."""
-        env, gamma = self.env, self.ppo_settings.gamma
-        worth = np.zeros(env.settings.envs, np.float32)
-        alive = np.ones(env.settings.envs, dtype=bool)
-        with env.what_if():
-            for k in range(ticks):
-                distance, reward, exploded = env.advance(action)
-                worth += alive * np.float32((1.0 - gamma) * gamma**k) * reward
-                alive &= ~(env.failed(distance) | exploded)
-                observation = env.observe()
-                closing = alive & (env.over() | (k == ticks - 1))
-                if closing.any():
-                    worth += closing * np.float32(gamma ** (k + 1)) * self._values(observation)
-                alive &= ~closing
-                if k < ticks - 1:
-                    action = self.act(observation) + noise[k]
-        return worth
 
     @torch.no_grad()
     def _average(self) -> None:

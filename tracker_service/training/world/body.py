@@ -61,6 +61,11 @@ class Bodies:
     linvel_w_mps: Tensor
 
 
+def square(rows: Tensor) -> Tensor:
+    """(..., 9) entries row by row as (..., 3, 3)."""
+    return rows.view(*rows.shape[:-1], 3, 3)
+
+
 def matrix_from_quat(quat: Tensor) -> Tensor:
     """(..., 4) wxyz, normalised here, -> (..., 3, 3)."""
     w, x, y, z = (quat / quat.norm(dim=-1, keepdim=True)).unbind(-1)
@@ -69,18 +74,18 @@ def matrix_from_quat(quat: Tensor) -> Tensor:
         2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
         2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
     ]  # fmt: skip
-    return torch.stack(rows, -1).unflatten(-1, (3, 3))
+    return square(torch.stack(rows, -1))
 
 
 def rotation_of(rotvec: Tensor) -> Tensor:
     """Rotation matrices (B, 3, 3) of rotation vectors (B, 3), Rodrigues."""
-    square = (rotvec * rotvec).sum(-1)[:, None, None] + 1e-12
-    angle = square.sqrt()
+    length2 = (rotvec * rotvec).sum(-1)[:, None, None] + 1e-12
+    angle = length2.sqrt()
     x, y, z = rotvec.unbind(-1)
     o = torch.zeros_like(x)
-    cross = torch.stack([o, -z, y, z, o, -x, -y, x, o], -1).unflatten(-1, (3, 3))
+    cross = square(torch.stack([o, -z, y, z, o, -x, -y, x, o], -1))
     eye = torch.eye(3, dtype=rotvec.dtype, device=rotvec.device)
-    return eye + torch.sin(angle) / angle * cross + (1 - torch.cos(angle)) / square * small_matmul(cross, cross)
+    return eye + torch.sin(angle) / angle * cross + (1 - torch.cos(angle)) / length2 * small_matmul(cross, cross)
 
 
 def small_matmul(a: Tensor, b: Tensor) -> Tensor:
@@ -102,7 +107,7 @@ def heading_frame(rot_w: Tensor) -> Tensor:
     forward = rot_w[:, :2, 0]
     c, s = (forward / forward.norm(dim=-1, keepdim=True).clamp(min=1e-6)).unbind(-1)
     o, one = torch.zeros_like(c), torch.ones_like(c)
-    return torch.stack([c, -s, o, s, c, o, o, o, one], -1).unflatten(-1, (3, 3))
+    return square(torch.stack([c, -s, o, s, c, o, o, o, one], -1))
 
 
 def into(frame: Tensor, vectors: Tensor) -> Tensor:
@@ -162,20 +167,20 @@ class Kinematics:
     def slots(self, values: Tensor) -> Tensor:
         """Hinge values (B, H) spread over (B, J-1, 3), absent hinges zero."""
         padded = torch.cat([values, torch.zeros_like(values[:, :1])], -1)
-        return padded[:, self._slot].unflatten(-1, (self.bodies - 1, 3))
+        return padded[:, self._slot].view(len(values), self.bodies - 1, 3)
 
     def __call__(self, state: State) -> Bodies:
         """World states of all bodies."""
         angles = self.slots(state.hinge_rad)
         sa, sb, sc = angles.sin().unbind(-1)
         ca, cb, cc = angles.cos().unbind(-1)
-        euler = torch.stack(
+        euler = square(torch.stack(
             [
                 cb * cc, -cb * sc, sb,
                 sa * sb * cc + ca * sc, ca * cc - sa * sb * sc, -sa * cb,
                 sa * sc - ca * sb * cc, ca * sb * sc + sa * cc, ca * cb,
             ], -1,
-        ).unflatten(-1, (3, 3))  # fmt: skip
+        ))  # fmt: skip
         local = small_matmul(small_matmul(self._axes, euler), self._rest)
         r1, r2, r3 = self.slots(state.rate_radps).unbind(-1)
         spin = rotate(self._axes, torch.stack([r1 + sb * r3, ca * r2 - sa * cb * r3, sa * r2 + ca * cb * r3], -1))

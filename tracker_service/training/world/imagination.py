@@ -106,9 +106,7 @@ class Imagination:
 
     def model_tick(self, state: State, bodies: Bodies, target: Tensor, heights: Tensor) -> tuple[State, Bodies]:
         """The model alone, under given servo targets."""
-        flat = self._model_flat(
-            *state.parts(), bodies.pos_w_m, bodies.rot_w, bodies.linvel_w_mps, target, heights
-        )
+        flat = self._model_flat(*state.parts(), bodies.pos_w_m, bodies.rot_w, bodies.linvel_w_mps, target, heights)
         return State(*flat[:6]), Bodies(*flat[6:9])
 
     def _plain_model(self, *flat: Tensor) -> Flat:

@@ -49,8 +49,9 @@ class References:
     @classmethod
     def of(cls, s: ReferenceSet, device: torch.device | str) -> References:
         """On the device."""
-        arrays = [tensor(a, device) for a in (s.pos_w_m, s.linvel_w_mps, s.rot_xy, s.qpos, s.qvel)]
-        return cls(*arrays, torch.from_numpy(s.start).to(device), torch.from_numpy(s.length).to(device))
+        pos, vel, rot, qpos, qvel = (tensor(a, device) for a in (s.pos_w_m, s.linvel_w_mps, s.rot_xy, s.qpos, s.qvel))
+        start, length = (torch.from_numpy(a).to(device) for a in (s.start, s.length))
+        return cls(pos, vel, rot, qpos, qvel, start, length)
 
     def at(self, clip: Tensor, time: Tensor, jump_m: Tensor, decay: float) -> Reference:
         """What is previewed at a tick (B,) of clips (B,), displaced by jumps (B, 2) that decay from now on."""
@@ -241,7 +242,7 @@ class Learner:
     def _step(self, name: str, module: nn.Module, loss: Tensor, norm: float | None) -> float:
         optimizer = self.optimizers[name]
         optimizer.zero_grad()
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         size = float(nn.utils.clip_grad_norm_(module.parameters(), norm if norm is not None else float("inf")))
         # One batch of exploded imagination must not end up in Adam's moments.
         if np.isfinite(size):

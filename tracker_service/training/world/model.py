@@ -89,7 +89,9 @@ class WorldModel(nn.Module):
         frame = heading_frame(s.rot_w)
         gone = n.pos_w_m - s.pos_w_m - TICK_S / 2 * (s.linvel_w_mps + n.linvel_w_mps)
         rel = small_matmul(s.rot_w.transpose(1, 2), n.rot_w)
-        turned = torch.stack([rel[:, 2, 1] - rel[:, 1, 2], rel[:, 0, 2] - rel[:, 2, 0], rel[:, 1, 0] - rel[:, 0, 1]], -1)
+        turned = torch.stack(
+            [rel[:, 2, 1] - rel[:, 1, 2], rel[:, 0, 2] - rel[:, 2, 0], rel[:, 1, 0] - rel[:, 0, 1]], -1
+        )
         return torch.cat(
             [
                 into(frame, (n.linvel_w_mps - s.linvel_w_mps)[:, None])[:, 0],

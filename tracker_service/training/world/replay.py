@@ -63,7 +63,7 @@ class Replay:
             recent: only from the last so many rows.
         """
         span = self.filled if recent is None else min(self.filled, recent)
-        slot = (self.head - rng.integers(ticks + 1, max(span, ticks + 2), size=2 * count)) % self.capacity
+        slot = (self.head - rng.integers(ticks + 1, max(span + 1, ticks + 2), size=2 * count)) % self.capacity
         env = rng.integers(0, self.envs, size=2 * count)
         whole = np.ones(2 * count, dtype=bool)
         for k in range(ticks):
@@ -79,7 +79,7 @@ class Replay:
             places; (N,) sum of (1 - gamma) gamma^k r_k; places to bootstrap from; (N,) factor of the value there, 0
             where the episode failed.
         """
-        slot = (self.head - rng.integers(ticks + 1, max(self.filled, ticks + 2), size=count)) % self.capacity
+        slot = (self.head - rng.integers(ticks + 1, max(self.filled + 1, ticks + 2), size=count)) % self.capacity
         env = rng.integers(0, self.envs, size=count)
         total = np.zeros(count, np.float32)
         after = np.full(count, ticks)

@@ -1,0 +1,177 @@
+"""Learning through the world model: one definition in simulation and imagination, updates that learn, exact resume."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from shared.errors import InvalidInputError
+from shared.motion.ik import standing_clip
+from tracker_service.simulation.character_spec import character
+from tracker_service.simulation.humanoid import humanoid
+from tracker_service.training.dataset import MotionInput, ReferenceSet, prepare
+from tracker_service.training.env import EnvSettings, TrackingEnv
+from tracker_service.training.sampling import FailureTable
+from tracker_service.training.world.body import State, tensor
+from tracker_service.training.world.learner import Learner
+from tracker_service.training.world.replay import Replay
+from tracker_service.training.world.settings import WorldSettings
+from tracker_service.training.world.sight import observe, servo_targets, still_tracked, tick_reward
+from tracker_service.training.world.trainer import WorldTrainer
+from tracker_service.training.world.weights import export_learner, training_file, warm_start
+
+HUMAN = humanoid(character("human"))
+SMALL = EnvSettings(envs=6)
+TINY = WorldSettings(
+    hidden=(16, 16), model_hidden=(32,), buffer_ticks=60, model_batch=16, model_ticks=2, critic_batch=32,
+    critic_ticks=3, policy_batch=16, horizon=3, recent_ticks=50, bf16=False, compiled=False,
+)  # fmt: skip
+
+
+def swaying(name: str, frames: int = 75) -> MotionInput:
+    positions = standing_clip(frames, 30.0).positions_w_m.copy()
+    positions[:, :, 1] += 0.02 * np.sin(np.arange(frames) / 10.0)[:, None] * positions[:, :, 2]
+    return MotionInput(name, "stand", 1.0, positions)
+
+
+@pytest.fixture(scope="module")
+def references() -> ReferenceSet:
+    return prepare(HUMAN, [swaying("a"), swaying("b", 90)])
+
+
+@pytest.fixture(autouse=True)
+def short_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = {"FIRST_ROWS": 40, "FIRST_MODEL_UPDATES": 4, "FIRST_CRITIC_UPDATES": 4}
+    for name, value in names.items():
+        monkeypatch.setattr(f"tracker_service.training.world.trainer.{name}", value)
+
+
+def trainer(references: ReferenceSet, out: Path, settings: WorldSettings = TINY, seed: int = 3) -> WorldTrainer:
+    return WorldTrainer(HUMAN, references, references, out, SMALL, settings, seed)
+
+
+def test_simulation_and_imagination_see_want_and_judge_the_same(references: ReferenceSet, tmp_path: Path) -> None:
+    env = TrackingEnv(HUMAN, references, SMALL, seed=0)
+    seen = env.reset_all()
+    env.jump_m[:] = np.random.default_rng(0).normal(size=env.jump_m.shape) * 0.05
+    seen = env.observe()
+    learner = Learner(HUMAN, references, SMALL, TINY, env.observation_size, 0)
+    state = State.of(tensor(env.qpos), tensor(env.qvel))
+    clip, time, jump = torch.from_numpy(env.clip), torch.from_numpy(env.time), tensor(env.jump_m)
+    ref = learner.references.at(clip, time, jump, SMALL.jump_decay)
+    bodies = learner.kinematics(state)
+    np.testing.assert_allclose(observe(state, bodies, ref, torch.zeros(6, 0)), seen, atol=1e-5)
+    action = np.random.default_rng(1).normal(size=(6, env.hinges)).astype(np.float32)
+    lead = tensor(env.ratio * 30.0)
+    limits = tensor(HUMAN.hinges.lower), tensor(HUMAN.hinges.upper)
+    wanted = servo_targets(torch.from_numpy(action), ref, lead, SMALL.action_scale_rad, limits)
+    np.testing.assert_allclose(wanted, env.targets(action), atol=1e-6)
+    before = env.previous_action.copy()
+    distance, reward, _ = env.advance(action)
+    after = State.of(tensor(env.qpos), tensor(env.qvel))
+    got, far = tick_reward(after, learner.kinematics(after), ref)
+    cost = 0.02 * np.mean((np.clip(action, -1, 1) - before) ** 2, axis=-1)
+    np.testing.assert_allclose(got.numpy() - cost, reward, atol=1e-4)
+    np.testing.assert_allclose(far, distance, atol=1e-4)
+    stretched = far * torch.tensor([1.0, 1.0, 1.0, 20.0, 20.0, 20.0])[:, None]
+    expected = env.failed(stretched.numpy())
+    assert expected.any() and not expected.all()
+    assert np.array_equal(~still_tracked(stretched, SMALL.stop_mean_m, SMALL.stop_max_m).numpy(), expected)
+    env.close()
+
+
+def test_the_model_learns_what_the_simulator_does(references: ReferenceSet, tmp_path: Path) -> None:
+    t = trainer(references, tmp_path, TINY.model_copy(update={"model_rate": 3e-3, "model_batch": 64}))
+    t.prepare(lambda line: None, fresh_sight=True, fresh_model=True)
+    losses = [t.learner.update_model(t.replay, t.rng).get("model_loss", np.nan) for _ in range(150)]
+    assert np.nanmean(losses[-20:]) < 0.8 * np.nanmean(losses[:20])
+
+
+def test_the_critic_explains_returns(references: ReferenceSet, tmp_path: Path) -> None:
+    t = trainer(references, tmp_path)
+    t.prepare(lambda line: None, fresh_sight=True, fresh_model=True)
+    losses = [t.learner.update_critic(t.replay, t.rng)["critic_loss"] for _ in range(200)]
+    assert np.mean(losses[-20:]) < 0.5 * np.mean(losses[:20])
+
+
+def test_resume_is_exact(references: ReferenceSet, tmp_path: Path) -> None:
+    whole = trainer(references, tmp_path / "a")
+    whole.prepare(lambda line: None, fresh_sight=True, fresh_model=True)
+    whole.iterate()
+    whole.save(tmp_path / "a" / "checkpoint.pt")
+    expected = [whole.iterate() for _ in range(3)]
+    resumed = trainer(references, tmp_path / "b", seed=8)
+    resumed.load(tmp_path / "a" / "checkpoint.pt")
+    assert resumed.ready
+    got = [resumed.iterate() for _ in range(3)]
+    for one, other in zip(expected, got, strict=True):
+        assert {k: v for k, v in one.items() if not k.endswith("_s")} == {
+            k: v for k, v in other.items() if not k.endswith("_s")
+        }
+    for a, b in zip(whole.learner.averaged.parameters(), resumed.learner.averaged.parameters(), strict=True):
+        assert torch.equal(a, b)
+    (tmp_path / "a" / "replay.npz").unlink()
+    said: list[str] = []
+    elsewhere = trainer(references, tmp_path / "c")
+    elsewhere.load(tmp_path / "a" / "checkpoint.pt", said.append)
+    assert not elsewhere.ready and any("filled anew" in line for line in said)
+
+
+def test_exported_weights_start_a_learner(references: ReferenceSet, tmp_path: Path) -> None:
+    t = trainer(references, tmp_path)
+    t.prepare(lambda line: None, fresh_sight=True, fresh_model=True)
+    t.iterate()
+    path = export_learner(t.learner, tmp_path / "learned.safetensors", {"samples": t.samples})
+    fresh = Learner(HUMAN, references, SMALL, TINY, t.env.observation_size, 0)
+    assert warm_start(fresh, path)
+    np.testing.assert_allclose(
+        fresh.act(t.observation, averaged=True), t.learner.act(t.observation, averaged=True), atol=2e-3
+    )
+    torch.testing.assert_close(fresh.model.scale, t.learner.model.scale)
+    wider = Learner(HUMAN, references, SMALL, TINY, t.env.observation_size + 5, 5)
+    assert warm_start(wider, path)
+    more = np.concatenate([t.observation, np.full((6, 5), 0.3, np.float32)], axis=1)
+    np.testing.assert_allclose(wider.act(more, averaged=True), fresh.act(t.observation, averaged=True), atol=1e-5)
+    training_file(path).unlink()
+    assert not warm_start(fresh, path)
+    other = Learner(HUMAN, references, SMALL, TINY.model_copy(update={"hidden": (8, 8)}), t.env.observation_size, 0)
+    with pytest.raises(InvalidInputError, match="another size"):
+        warm_start(other, path)
+
+
+def test_windows_never_cross_a_cut_and_failures_are_not_bootstrapped() -> None:
+    ring = Replay(capacity=20, envs=1, observation=1, hinges=1)
+    rng = np.random.default_rng(0)
+    for tick in range(18):
+        ring.observation[ring.head], ring.reward[ring.head] = tick, 1.0
+        ring.cut[ring.head] = tick in (7, 12)
+        ring.terminated[ring.head] = tick == 7
+        ring.forward()
+    slots = ring.draw(rng, 400, 3).slot
+    assert set(slots.tolist()) == {0, 1, 2, 3, 4, 8, 9, 13, 14}
+    places, total, after, factor = ring.returns(rng, 400, 3, 0.5)
+    facts = {
+        int(s): (float(t), int(a), float(f)) for s, t, a, f in zip(places.slot, total, after.slot, factor, strict=True)
+    }
+    assert facts[0] == (0.5 + 0.25 + 0.125, 3, 0.125)
+    assert facts[6][0] == 0.5 + 0.25 and facts[6][2] == 0.0  # fails in its second tick
+    assert facts[11] == (0.5, 12, 0.5)  # cut short at 12: the value there stands for the rest
+
+
+def test_failures_are_met_again_where_they_happen() -> None:
+    table = FailureTable(np.array([120, 90]), np.array([0.5, 0.5]), floor=0.15, tail_ticks=10)
+    for _ in range(40):
+        table.note(0, 0, 70, failed=True)
+        table.note(1, 0, 85, failed=False)
+    assert table.rate[2] > 0.9 and table.rate[1] > 0.9 and table.rate[0] < 0.1
+    assert table.rate[3] == 0.5  # never reached
+    assert (table.rate[4:7] < 0.1).all()
+    np.testing.assert_allclose(table.by_clip(), [np.mean(table.rate[:4]), np.mean(table.rate[4:])])
+    for tick in range(40):
+        table.note(0, 0, 70 if tick % 2 else 115, failed=tick % 2 == 1)
+    clips, ticks = table.draw(np.random.default_rng(0), 4000)
+    assert (clips == 0).mean() > 0.7  # sometimes failing beats never failing
+    assert ((ticks >= 0) & (ticks < np.where(clips == 0, 110, 80))).all()
