@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 from dataclasses import asdict
 from typing import Literal
 
@@ -23,7 +24,12 @@ from shared.protocol.control import Ok
 from shared.protocol.messages import CloseCharacter, CreateCharacter, Impulse, Pacing, Seed, SetPacing, StateFrame, Vec3
 from shared.tasks.interface import BodyView, PlanGoal
 
+log = logging.getLogger(__name__)
+
 Status = Literal["running", "paused", "degraded", "failed", "closed"]
+
+REFUSALS_IN_A_ROW = 4
+"""A planner that fails more often than this, one plan after the other, has failed for good."""
 
 
 class CharacterSpec(BaseModel):
@@ -56,6 +62,7 @@ class CharacterSession:
         self._source = CommandGoal(STAND, 0)
         self._runner: asyncio.Task[None] | None = None
         self._lock = asyncio.Lock()
+        self._refusals = 0
 
     @property
     def state(self) -> StateFrame:
@@ -82,7 +89,7 @@ class CharacterSession:
             self._driver = LockstepDriver(self.loop, self._state)
         else:
             self._driver = RealtimeDriver(self.loop, self._state)
-            self._runner = asyncio.create_task(self._run(self._driver), name=f"character-{self.character_id}")
+            self._run_on(self._driver)
         self.events.emit("created", self._state.tick, scene=self.spec.scene, pacing=self.spec.pacing)
         return self._state
 
@@ -94,7 +101,8 @@ class CharacterSession:
         """Take a new command; returns the tick at which it was given. Raises for a target out of reach."""
         self._check_alive()
         command.check_reachable(view_of(self.state))
-        self._source = CommandGoal(command, self.state.tick)
+        if command != self.command or command.keyframes:  # repeated, it goes on: what counts down must not start anew
+            self._source = CommandGoal(command, self.state.tick)
         if command.replan == "now" and self._driver is not None:
             self._driver.replan_now()
         self.events.emit("command", self.state.tick, **command.model_dump(mode="json", exclude_none=True))
@@ -139,14 +147,18 @@ class CharacterSession:
         self.events.emit("impulse", self.state.tick, body=body, impulse_ns=list(impulse_w_ns))
 
     async def reset(self) -> StateFrame:
-        """Stand it up where it is; the command becomes standing."""
+        """Stand it up where it is; the command becomes standing. One that has failed runs again."""
         self._check_alive(even_failed=True)
         async with self._lock:
             self._state = await self.loop.reset()
             self._source = CommandGoal(STAND, self._state.tick)
             if self._driver is not None:
-                self._driver.replan_now()
+                await self._driver.drop_plan()
             self.events.emit("reset", self._state.tick)
+        if self.status == "failed":
+            self.status, self.reason, self._refusals = "running", None, 0
+            if isinstance(self._driver, RealtimeDriver):
+                self._run_on(self._driver)
         return self.state
 
     async def pause(self, paused: bool) -> StateFrame:
@@ -180,6 +192,9 @@ class CharacterSession:
         if self.status == "closed" or (self.status == "failed" and not even_failed):
             raise ConflictError(f"the character is {self.status}: {self.reason or 'deleted'}", field="status")
 
+    def _run_on(self, driver: Driver) -> None:
+        self._runner = asyncio.create_task(self._run(driver), name=f"character-{self.character_id}")
+
     async def _run(self, driver: Driver) -> None:
         while self.status not in ("failed", "closed"):
             async with self._lock:
@@ -187,16 +202,31 @@ class CharacterSession:
                     await self._cycle(driver, None)
 
     async def _cycle(self, driver: Driver, max_ticks: int | None) -> None:
+        """One cycle. Whatever it raises ends as a MotionLoopError that `status`, `reason` and the events tell of."""
         try:
             cycle = await driver.cycle(self._goal, max_ticks)
         except (TransportError, NotFoundError) as error:
             self._fail(f"the tracker is gone: {error.message}")
             raise
         except MotionLoopError as error:
-            self.events.emit("plan_refused", self.state.tick, code=error.code, message=error.message, field=error.field)
-            self._source = CommandGoal(STAND, self.state.tick)
+            self._refused(driver, error)
             raise
+        except Exception as error:
+            log.exception("character %s broke", self.character_id)
+            self._fail(f"internal: {type(error).__name__}: {error}")
+            raise MotionLoopError(str(self.reason)) from error
+        self._refusals = 0 if cycle.plans else self._refusals
         self._take(cycle)
+
+    def _refused(self, driver: Driver, error: MotionLoopError) -> None:
+        """The planner would not, or could not, plan: stand instead. One that cannot even plan that has failed."""
+        self.events.emit("plan_refused", self.state.tick, code=error.code, message=error.message, field=error.field)
+        self._refusals += 1
+        if self._refusals > REFUSALS_IN_A_ROW:
+            self._fail(f"the planner fails: {error.message}")
+            return
+        self._source = CommandGoal(STAND, self.state.tick)
+        driver.replan_now()
 
     def _take(self, cycle: Cycle) -> None:
         was_fallen = self.state.fallen
@@ -217,4 +247,6 @@ class CharacterSession:
 
     def _fail(self, reason: str) -> None:
         self.status, self.reason = "failed", reason
+        if self._state is not None:
+            self.states.publish(self._state.model_copy())  # shown once more, with the status that it has now
         self.events.emit("failed", self._state.tick if self._state else 0, reason=reason)

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from orchestrator.core.loop import CharacterLoop, GoalSource, PlanTiming, view_of
+from orchestrator.core.pacing import PlanPacer
 from orchestrator.core.settings import LoopSettings
-from orchestrator.core.stitch import start_tick_for
 from shared.errors import MotionLoopError, SimulationError, TransportError
 from shared.protocol.messages import TICK_HZ, Plan, StateFrame
 from shared.tasks.interface import PlanGoal, Trace
@@ -43,6 +43,10 @@ class Driver(Protocol):
 
     def replan_now(self) -> None:
         """A command changed: do not wait for the replan period."""
+        ...
+
+    async def drop_plan(self) -> None:
+        """The body was put somewhere else: what is being planned for it says nothing any more. Plan anew."""
         ...
 
     async def close(self) -> None:
@@ -90,11 +94,17 @@ class LockstepDriver:
         self._state = start
         self._seen = start.tick
         self._next_plan_tick = start.tick
+        self._pacer = PlanPacer(loop.settings.least_ticks)
         self._bad = _BadPlans()
 
     def replan_now(self) -> None:
         """Plan at the next tick divisible by 3."""
         self._next_plan_tick = self._state.tick
+
+    async def drop_plan(self) -> None:
+        """Nothing is under way between cycles: plan anew."""
+        self._pacer.clear()
+        self.replan_now()
 
     async def close(self) -> None:
         """Nothing runs between cycles."""
@@ -107,7 +117,7 @@ class LockstepDriver:
         trouble: str | None = None
         if tick >= self._next_plan_tick and tick % 3 == 0:
             lead = settings.plan_lead_ticks if self._loop.last_plan is not None else 0
-            start_tick = start_tick_for(tick, lead)
+            start_tick = self._pacer.start_tick(tick, lead)
             began = time.perf_counter()
             period = settings.replan_ticks
             try:
@@ -124,6 +134,8 @@ class LockstepDriver:
             else:
                 self._bad.clear()
                 reply = await self._loop.track(plan)
+                if reply.accepted:
+                    self._pacer.entered(start_tick, period)
                 total_ms = (time.perf_counter() - began) * 1e3
                 plans.append(
                     PlanTiming(
@@ -148,6 +160,7 @@ class _Request:
 
     task: asyncio.Task[Plan]
     start_tick: int
+    period_ticks: int
     text: str | None
     began_s: float = field(default_factory=time.perf_counter)
 
@@ -155,7 +168,9 @@ class _Request:
 class RealtimeDriver:
     """The tracker's clock runs; plans are requested `plan_lead_ticks` ahead and handed over when they come.
 
-    A cycle is one look at the character (`poll_s`): it never waits for the planner.
+    A cycle is one look at the character (`poll_s`, sooner when a plan comes): it never waits for the planner. One plan
+    is under way at a time. A command that comes meanwhile lets it land and is planned for right after it, so that
+    commands which come faster than plans are made steer and do not starve; of several, the newest is planned for.
     """
 
     def __init__(self, loop: CharacterLoop, start: StateFrame, poll_s: float = 0.033):
@@ -163,6 +178,7 @@ class RealtimeDriver:
         self._state = start
         self._seen = start.tick
         self._next_plan_tick = start.tick
+        self._pacer = PlanPacer(loop.settings.least_ticks)
         self._poll_s = poll_s
         self._look_at_s = time.monotonic()
         self._request: _Request | None = None
@@ -171,11 +187,14 @@ class RealtimeDriver:
         self._bad = _BadPlans()
 
     def replan_now(self) -> None:
-        """Request at the next look; a plan under way for the old command is thrown away."""
+        """Request at the next look, or as soon as the plan under way has landed."""
         self._next_plan_tick = self._state.tick
-        if self._request is not None:
-            self._request.task.cancel()
-            self._request = None
+
+    async def drop_plan(self) -> None:
+        """Throw away the plan under way, and plan anew."""
+        await self.close()
+        self._pacer.clear()
+        self.replan_now()
 
     async def close(self) -> None:
         """Give up the plan under way."""
@@ -187,14 +206,12 @@ class RealtimeDriver:
 
     async def cycle(self, source: GoalSource, max_ticks: int | None = None) -> Cycle:
         """Wait one poll, look, collect a plan that has come, and request one that is due."""
-        # Looks are due at a fixed rate: what a look takes must not slow what viewers are shown.
-        self._look_at_s = max(self._look_at_s + self._poll_s, time.monotonic())
-        await asyncio.sleep(self._look_at_s - time.monotonic())
+        await self._until_look()
         self._state = await self._loop.observe()
         plans: list[PlanTiming] = []
         if self._request is not None and self._request.task.done():
-            plans.extend(await self._collect(self._request))
-            self._request = None
+            landed, self._request = self._request, None  # first of all: one that raises must not be met again
+            plans.extend(await self._collect(landed))
         tick = self._state.tick
         due = tick >= self._next_plan_tick and not self._state.paused
         if self._request is None and due and time.monotonic() >= self._retry_at_s:
@@ -204,13 +221,25 @@ class RealtimeDriver:
         self._seen = stop - 1
         return Cycle(self._state, trace, tuple(plans), self._trouble)
 
+    async def _until_look(self) -> None:
+        """Looks are due at a fixed rate, since what a look takes must not slow what viewers are shown; a plan that
+        lands is taken up at once."""
+        now = time.monotonic()
+        due_at_s = max(self._look_at_s + self._poll_s, now)
+        under_way = () if self._request is None else (self._request.task,)
+        if not under_way:
+            await asyncio.sleep(due_at_s - now)
+        else:
+            await asyncio.wait(under_way, timeout=due_at_s - now)
+        self._look_at_s = min(due_at_s, max(time.monotonic(), self._look_at_s))
+
     def _launch(self, source: GoalSource, tick: int) -> None:
         settings = self._loop.settings
-        start_tick = start_tick_for(tick, settings.plan_lead_ticks)
+        start_tick = self._pacer.start_tick(tick, settings.plan_lead_ticks)
         goal = source(view_of(self._state), start_tick)
         task = asyncio.create_task(self._loop.make_plan(goal, tick, start_tick))
-        self._request = _Request(task, start_tick, goal.text)
-        self._next_plan_tick = tick + _period(settings, goal)
+        self._request = _Request(task, start_tick, _period(settings, goal), goal.text)
+        self._next_plan_tick = tick + self._request.period_ticks
 
     async def _collect(self, request: _Request) -> list[PlanTiming]:
         try:
@@ -232,7 +261,9 @@ class RealtimeDriver:
         self._bad.clear()
         total_ms = (time.perf_counter() - request.began_s) * 1e3
         reply = await self._loop.track(plan)
-        if not reply.accepted:
+        if reply.accepted:
+            self._pacer.entered(plan.start_tick, request.period_ticks)
+        else:
             self._next_plan_tick = self._state.tick
         return [
             PlanTiming(

@@ -322,7 +322,7 @@ class EpisodeRunner:
     async def _reset(self) -> None:
         await self.loop.reset()
         if self._driver is not None:
-            self._driver.replan_now()
+            await self._driver.drop_plan()
         self.events.emit("reset", self.tick)
 
     def _goal(self, view: BodyView, plan_tick: int) -> PlanGoal:

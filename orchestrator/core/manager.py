@@ -242,7 +242,10 @@ class Orchestrator:
                 results=runner.results, ticks=runner.tick, plans=runner.loop.plans_made, missed_ticks=0,
             )  # fmt: skip
         await self._record(live, runner.tick + 1)
-        await asyncio.to_thread(self.files.finish, runner.episode_id)
+        try:
+            await asyncio.to_thread(self.files.finish, runner.episode_id)
+        except (OSError, ValueError, KeyError) as error:  # a full disk; the parts stay, to be joined at the next start
+            runner.events.emit("recording_failed", runner.tick, reason=str(error))
         live.outcome = outcome
         self.store.episode_ended(runner.episode_id, outcome)
         runner.events.emit("end", runner.tick, status=outcome.status, success=outcome.success, reason=outcome.reason)

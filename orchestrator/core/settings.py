@@ -16,6 +16,7 @@ class LoopSettings(BaseModel):
         replan_ticks: a new plan every so many ticks at 30 Hz; 60 is the paper's loop, 15 and 120 its variants.
         text_replan_ticks: the same for plans without a target. A plan that is cut off early never gets far into what
             its text says: from standing, its first half second is still standing, again and again.
+        least_ticks: the least that a plan runs before one for a new command takes over (see `core.pacing`).
         plan_lead_ticks: a plan is requested so many ticks ahead of its start; 0 plans from the present state.
         horizon_frames: length of a plan at 20 fps.
         error_decay_s: time in which the tracking error added to the old plan's rest dies out.
@@ -27,6 +28,7 @@ class LoopSettings(BaseModel):
     mode: Literal["closed_loop", "open_loop"] = "closed_loop"
     replan_ticks: Annotated[int, Field(ge=3, le=300, multiple_of=3)] = 15
     text_replan_ticks: Annotated[int, Field(ge=3, le=300, multiple_of=3)] = 30
+    least_ticks: Annotated[int, Field(ge=3, le=60, multiple_of=3)] = 9
     plan_lead_ticks: Annotated[int, Field(ge=0, le=60)] = 0
     horizon_frames: Annotated[int, Field(ge=4, le=200)] = 40
     error_decay_s: Annotated[FiniteFloat, Field(gt=0, le=5)] = 0.5

@@ -123,19 +123,21 @@ class Batcher:
             plans = self._planner.plan(requests)
             if len(plans) != len(requests):
                 raise MotionLoopError(f"{self._planner.spec.name} gave {len(plans)} plans for {len(requests)} requests")
-        except Exception as error:  # a plug-in may raise anything; the senders must get a reply
+        except (Exception, SystemExit) as error:  # a plug-in may raise anything; the senders must get a reply
             if len(requests) > 1:
                 return [outcome for request in requests for outcome in self._plan_all([request])]
             if isinstance(error, MotionLoopError):
                 return [error]
             log.error("%s failed", self._planner.spec.name, exc_info=error)
             return [MotionLoopError(f"planner {self._planner.spec.name!r} failed: {type(error).__name__}: {error}")]
-        return [_checked(request, plan) for request, plan in zip(requests, plans, strict=True)]
+        return [self._checked(request, plan) for request, plan in zip(requests, plans, strict=True)]
 
-
-def _checked(request: PlanRequest, plan: Plan) -> Plan | MotionLoopError:
-    try:
-        check_plan(request, plan)
-    except MotionLoopError as error:
-        return error
-    return plan
+    def _checked(self, request: PlanRequest, plan: Plan) -> Plan | MotionLoopError:
+        try:
+            check_plan(request, plan)
+        except MotionLoopError as error:
+            return error
+        except Exception as error:  # a plug-in may give anything too: this thread must outlive what is no plan at all
+            log.error("%s gave no plan", self._planner.spec.name, exc_info=error)
+            return MotionLoopError(f"planner {self._planner.spec.name!r} gave no plan: {type(error).__name__}: {error}")
+        return plan

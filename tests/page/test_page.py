@@ -60,9 +60,12 @@ def test_a_clicked_hand_gets_the_next_target(page: Page) -> None:
     start = point_at(page, target["position_m"])
     page.mouse.move(*start)
     page.mouse.down()
-    page.mouse.move(start[0], start[1] - 60, steps=4)
+    page.mouse.move(start[0], start[1] - 30, steps=2)
+    # It steers while it is dragged, and not only where it is let go.
+    steered = until(page, "m.target.position_m[2] > a + 0.02 && m.target", target["position_m"][2])
+    page.mouse.move(start[0], start[1] - 60, steps=2)
     page.mouse.up()
-    moved = until(page, "m.target.position_m[2] > a + 0.1 && m.target", target["position_m"][2])
+    moved = until(page, "m.target.position_m[2] > a + 0.03 && m.target", steered["position_m"][2])
     assert moved["joint"] == "right_wrist"
 
 

@@ -11,6 +11,7 @@ const IDEAS = [
   "walk in a circle", "walk backwards", "wave with both hands", "raise both arms", "walk slowly", "run forward fast",
 ];
 const SHOWN_IDEAS = 5;
+const STEER_MS = 100;
 const REACHING = {
   left_wrist: "a person reaches out with the left hand.", right_wrist: "a person reaches out with the right hand.",
   left_foot: "a person lifts the left foot.", right_foot: "a person lifts the right foot.",
@@ -27,6 +28,30 @@ export async function send(command) {
 export async function sendTarget(joint, position) {
   const target = { joint: joint ?? "traj", position_m: position.map((value) => Math.round(value * 1000) / 1000) };
   await send({ text: REACHING[target.joint] ?? null, target });
+}
+
+/**
+ * A function that sends a character where a drag goes: the newest place, one request at a time, ten a second at most.
+ * It returns a promise of when the last place given was sent.
+ */
+export function makeSteering() {
+  let wanted = null;
+  let running = null;
+  async function pump() {
+    while (wanted !== null) {
+      const [joint, position] = wanted;
+      wanted = null;
+      await sendTarget(joint, position);
+      if (wanted !== null) await new Promise((resolve) => setTimeout(resolve, STEER_MS));
+    }
+  }
+  return (joint, position) => {
+    wanted = [joint, position];
+    running ??= attempt(pump).finally(() => {
+      running = null;
+    });
+    return running;
+  };
 }
 
 /** Choose the limb that the next target is for. */

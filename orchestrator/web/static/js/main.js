@@ -3,7 +3,7 @@
 import { call } from "./api.js";
 import { setUpCharacters } from "./characters.js";
 import { setUpCharts } from "./charts.js";
-import { pickLimb, pointFor, sendTarget, setUpCommands, setUpTargetForm } from "./command.js";
+import { makeSteering, pickLimb, pointFor, sendTarget, setUpCommands, setUpTargetForm } from "./command.js";
 import { attempt, byId, toast } from "./dom.js";
 import { offeredFormats, setUpEpisodes } from "./episodes.js";
 import { Ghost } from "./ghost.js";
@@ -73,6 +73,7 @@ function setUpPointer(stage) {
         body: joint, impulse_ns: impulse.map((value) => Math.round(value * 10) / 10),
       }),
     );
+  const steer = makeSteering();
   const pointer = new Pointer(world, mannequin, marker, arrow, {
     floor: (point) => {
       const joint = view.picked;
@@ -82,10 +83,10 @@ function setUpPointer(stage) {
     limb: (joint) => pickLimb(view.picked === joint ? null : joint),
     moveTarget: (point) => {
       stage.moving = { joint: marker.joint, position_m: point.toArray() };
+      steer(marker.joint, point.toArray());
     },
     dropTarget: (point) => {
-      const { joint } = marker;
-      attempt(() => sendTarget(joint, point.toArray())).then(() => {
+      steer(marker.joint, point.toArray()).then(() => {
         stage.moving = null;
       });
     },

@@ -1,0 +1,64 @@
+"""When the next plan enters: soon after a command, but not so often that a body cannot follow."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from orchestrator.core.stitch import start_tick_for
+from shared.protocol.messages import TICK_HZ
+
+EARLY_PLANS = 2
+EARLY_WITHIN_TICKS = 4 * TICK_HZ
+
+
+@dataclass(frozen=True)
+class _Entered:
+    """A plan in force: where it entered, and for how many ticks it is meant to run."""
+
+    start_tick: int
+    period_ticks: int
+
+
+class PlanPacer:
+    """Start ticks of plans that may be asked for faster than a body can follow.
+
+    A walking body falls when its motion is begun anew ten times a second. So of the plans that cut their predecessor
+    off before its period only two in four seconds enter at once, at least `least_ticks` after it; others wait for the
+    end of that period. While a plan has still to enter, with time enough to make another, the other takes its place
+    unseen: commands that come at any rate are all planned for, and what enters was made for the newest of them.
+
+    Args:
+        least_ticks: the least that a plan runs before another takes over.
+    """
+
+    def __init__(self, least_ticks: int):
+        self._least_ticks = least_ticks
+        self._last: _Entered | None = None
+        self._early: deque[int] = deque(maxlen=EARLY_PLANS)
+
+    def start_tick(self, now_tick: int, lead_ticks: int) -> int:
+        """Where a plan asked for now enters: a tick at least `lead_ticks` ahead."""
+        soonest = start_tick_for(now_tick, lead_ticks)
+        last = self._last
+        if last is None:
+            return soonest
+        if last.start_tick >= soonest:
+            return last.start_tick
+        return max(soonest, start_tick_for(last.start_tick, self._gap(last, soonest)))
+
+    def entered(self, start_tick: int, period_ticks: int) -> None:
+        """A plan was accepted, and is meant to run for `period_ticks`."""
+        last = self._last
+        if last is not None and last.start_tick < start_tick < last.start_tick + last.period_ticks:
+            self._early.append(start_tick)
+        self._last = _Entered(start_tick, period_ticks)
+
+    def clear(self) -> None:
+        """The body was put somewhere else: nothing is in force."""
+        self._last = None
+        self._early.clear()
+
+    def _gap(self, last: _Entered, soonest: int) -> int:
+        spent = len(self._early) == EARLY_PLANS and soonest - self._early[0] < EARLY_WITHIN_TICKS
+        return last.period_ticks if spent else min(self._least_ticks, last.period_ticks)

@@ -1,0 +1,50 @@
+"""When plans enter: a command shows soon, many commands do not tear the motion apart."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from orchestrator.core.pacing import EARLY_PLANS, EARLY_WITHIN_TICKS, PlanPacer
+
+LEAD, LEAST = 12, 9
+
+
+def test_by_hand() -> None:
+    pacer = PlanPacer(LEAST)
+    assert pacer.start_tick(1, 0) == 3
+    pacer.entered(3, 30)
+    assert pacer.start_tick(3, LEAD) == 15  # cut off early, for the first time
+    pacer.entered(15, 30)
+    assert pacer.start_tick(3, LEAD) == 15  # not there yet: replaced
+    assert pacer.start_tick(6, LEAD) == 24  # not sooner than LEAST after the last
+    pacer.entered(24, 30)
+    assert pacer.start_tick(15, LEAD) == 54  # two were early: this one waits for the period
+    assert pacer.start_tick(15 + EARLY_WITHIN_TICKS, LEAD) == 27 + EARLY_WITHIN_TICKS
+    pacer.clear()
+    assert pacer.start_tick(20, LEAD) == 33
+
+
+@given(
+    moves=st.lists(st.integers(1, 20), min_size=1, max_size=150),
+    period=st.sampled_from([3, 15, 30, 60]),
+    lead=st.sampled_from([0, 3, 12, 24]),
+)
+def test_entries_keep_their_distance_and_are_never_far_off(moves: list[int], period: int, lead: int) -> None:
+    pacer, now = PlanPacer(LEAST), 0
+    entries: list[int] = []
+    for move in moves:
+        now += move
+        start = pacer.start_tick(now, lead)
+        pacer.entered(start, period)
+        assert start % 3 == 0
+        assert now + lead <= start <= max(now + lead + 2, (entries or [0])[-1] + period)
+        if not entries or start != entries[-1]:
+            entries.append(start)
+    gaps = [b - a for a, b in zip(entries, entries[1:], strict=False)]
+    assert all(gap >= min(LEAST, period) for gap in gaps)
+    early = [at for at, gap in zip(entries[1:], gaps, strict=True) if gap < period]
+    assert all(
+        later - sooner >= EARLY_WITHIN_TICKS
+        for sooner, later in zip(early, early[EARLY_PLANS:], strict=False)
+    )  # fmt: skip

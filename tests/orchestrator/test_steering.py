@@ -1,0 +1,67 @@
+"""Commands faster than plans steer the character: none of them keeps a plan from landing, and the last one wins."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from math import cos, hypot, sin
+from pathlib import Path
+
+import pytest
+
+from orchestrator.core.character import CharacterSession, CharacterSpec
+from orchestrator.core.command import Command, Target
+from orchestrator.core.events import EventLog
+from orchestrator.core.services import Services, connect
+from orchestrator.core.supervise import Stack, StackOptions
+
+PLANS = 12
+NEAR_M = 0.6
+GIVE_UP_S = 90.0
+
+pytest.importorskip("torch", reason="the real planner needs torch")
+
+
+def plans(session: CharacterSession) -> int:
+    return sum(event.data["accepted"] for event in session.events.since(0) if event.type == "plan")
+
+
+async def drag(planner: str, tracker: str, interval_s: float) -> None:
+    """A target dragged round the character until so many plans are there, which old ones must not prevent."""
+    services = Services(await connect(planner, "planner", "dip"), await connect(tracker, "tracker", "kinematic"))
+    session = CharacterSession(f"dragged-{interval_s}", CharacterSpec(pacing="realtime"), services, EventLog())
+    try:
+        await session.start()
+        sent = 0
+        while plans(session) < PLANS:
+            sent += 1
+            angle = 0.1 * sent
+            session.set_command(Command(target=Target(position_m=(1.5 * cos(angle), 1.5 * sin(angle), 0.0))))
+            await asyncio.sleep(interval_s)
+        assert session.status == "running"
+        x, y = (float(v) for v in session.state.body_pos_w_m[0, :2])
+        last = Target(position_m=(x - 1.5, y, 0.0))
+        session.set_command(Command(target=last))
+        while (away := hypot(*(session.state.body_pos_w_m[0, :2] - last.position_m[:2]))) > NEAR_M:
+            assert not session.state.fallen, f"fell {away:.1f} m from the last target"
+            await asyncio.sleep(0.05)
+    finally:
+        await session.close()
+        await services.close()
+
+
+@pytest.mark.parametrize("interval_s", [0.03, 0.1, 0.4])
+def test_plans_land_and_the_last_target_is_reached(stack_with_dip: Stack, interval_s: float) -> None:
+    endpoints = stack_with_dip.planner.address, stack_with_dip.tracker.address
+    asyncio.run(asyncio.wait_for(drag(*endpoints, interval_s), GIVE_UP_S))
+
+
+@pytest.fixture(scope="module")
+def stack_with_dip(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+    data: Path = tmp_path_factory.mktemp("data")
+    stack = Stack(StackOptions(data_dir=str(data), planner_args=("--plugins", "dip")))
+    try:
+        stack.start_services()
+        yield stack
+    finally:
+        stack.stop()
