@@ -18,8 +18,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from orchestrator.client import Client
-from shared.console import in_words
-from shared.errors import MotionLoopError
+from shared.console import EXPECTED, as_ours, in_words
 
 console = Console(stderr=True)
 
@@ -36,11 +35,14 @@ HINTS = {
 
 @contextmanager
 def for_people() -> Iterator[None]:
-    """Print our own errors as one clear line and exit with 1."""
+    """Print what is expected to go wrong as one clear line and exit with 1."""
     try:
         yield
-    except MotionLoopError as error:
-        hint = f"\n  {HINTS[error.code]}" if error.code in HINTS else ""
+    except BrokenPipeError:
+        raise
+    except EXPECTED as error:
+        code = as_ours(error).code
+        hint = f"\n  {HINTS[code]}" if code in HINTS else ""
         line = escape(f"{in_words(error)}{hint}")
         console.print(f"[red]{line}[/red]", highlight=False, soft_wrap=True)
         raise typer.Exit(1) from error
@@ -83,13 +85,17 @@ def provenance(seed: int | None = None) -> dict[str, Any]:
 
 
 def write_json(path: Path | None, result: dict[str, Any]) -> None:
-    """Print the result, and write it where it was asked for."""
-    text = json.dumps(result, indent=2)
+    """Write the result where it was asked for, and print it."""
+    save_json(path, result)
+    sys.stdout.write(json.dumps(result, indent=2) + "\n")
+
+
+def save_json(path: Path | None, result: dict[str, Any]) -> None:
+    """Write the result where it was asked for."""
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text + "\n")
-        console.print(f"written: {path}")
-    sys.stdout.write(text + "\n")
+        path.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+        console.print(f"written: {path}", soft_wrap=True, highlight=False)
 
 
 def _commit() -> str | None:

@@ -10,8 +10,10 @@ import typer
 from rich.table import Table
 
 from orchestrator.cli.common import Token, client, console, for_people, write_json
+from orchestrator.cli.data import data_import
 from orchestrator.cli.delegate import PASS_THROUGH, need, run_module, say_what_is_missing
 from orchestrator.cli.talk import episode, export, say, swap, watch
+from shared.console import errors_for_people
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, help="Text- and target-driven physical characters.")
 data = typer.Typer(no_args_is_help=True, help="Motion corpora.")
@@ -110,21 +112,7 @@ def conformance(
     raise typer.Exit(0 if all(result.passed for result in results) else 1)
 
 
-@data.command("import")
-def data_import(
-    source: Annotated[Path, typer.Argument(exists=True, help="BVH, ASF + AMC or SMPL npz, or a folder of them")],
-    out: Annotated[Path, typer.Argument(help="folder for the retargeted clips")],
-) -> None:
-    """Bring recorded motion onto the skeleton."""
-    from shared.data.importer import import_path
-
-    with for_people():
-        entries = import_path(source, out)
-    refused = [entry for entry in entries if "error" in entry]
-    for entry in refused:
-        console.print(f"not imported: {entry['file']}: {entry['error']}", style="yellow", markup=False, highlight=False)
-    write_json(None, {"imported": len(entries) - len(refused), "refused": len(refused), "files": entries})
-    raise typer.Exit(1 if len(refused) == len(entries) else 0)
+data.command("import")(data_import)
 
 
 @data.command("build")
@@ -177,7 +165,8 @@ def main() -> None:
     """Entry point."""
     if sys.argv[1:2] == [] or sys.argv[1] not in LIGHT:  # the others start quicker without what only these need
         _add_measurements()
-    app()
+    with errors_for_people():  # what no command has told yet
+        app()
 
 
 if __name__ == "__main__":

@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+import os
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from shared.data.grounding import Quality, ground
-from shared.data.retarget import Calibration, calibrate, retarget
-from shared.data.splice import denoise
-from shared.errors import InvalidInputError
-from shared.motion.body import origin_start
+from shared.console import as_ours
+from shared.data.grounding import Quality
+from shared.data.reading import Loaded, Outcome, load, read_all
+from shared.data.retarget import Calibration
 from shared.motion.clip import MotionClip
-from shared.motion.ik import clip_from_positions
 from shared.motion.io.bvh import write_bvh
-from shared.motion.io.files import SUFFIXES, read_motion
+from shared.motion.io.files import motion_files
 from shared.motion.io.options import ReadOptions
 
-FPS = 30.0
-_REST_JUMP_M = 0.25
+_SUFFIXES = (".npz", ".bvh")
+Row = Callable[[Outcome, str], None]
+"""Called with what came of each file and the name of its outputs."""
 
 
 def load_clip(
@@ -28,52 +32,113 @@ def load_clip(
     """A recording as a clip of the canonical skeleton at 30 fps, on the floor, starting over the origin facing +X.
 
     Raises:
-        InvalidInputError: it cannot be read, or is shorter than three frames.
+        InvalidInputError: it cannot be read, or is shorter than four frames.
     """
-    raw = read_motion(path, options)
-    if len(raw) < 4:
-        raise InvalidInputError(f"{Path(path).name}: {len(raw)} frames are too few", field="path", allowed=">= 4")
-    positions = retarget(raw, calibration if calibration is not None else calibrate([raw]))
-    if len(positions) > 3 and np.linalg.norm(positions[1] - positions[0], axis=-1).max() > _REST_JUMP_M:
-        positions = positions[1:]  # many BVH files begin with their zero pose
-    positions, quality = ground(denoise(positions))
-    return clip_from_positions(origin_start(positions), FPS, rebuild=True), quality
+    loaded = load(path, options, calibration)
+    return loaded.clip, loaded.quality
+
+
+def no_row(outcome: Outcome, name: str) -> None:
+    """A `Row` that shows nothing."""
 
 
 def import_path(
-    path: str | Path, out: str | Path, progress: Callable[[str, float], None] | None = None
-) -> list[dict[str, object]]:
+    path: str | Path, out: str | Path, options: ReadOptions | None = None, row: Row = no_row
+) -> list[dict[str, Any]]:
     """Import a file, or all motion files below a folder.
 
-    Each becomes `<out>/<name>.npz` (positions_w_m, rotations_6d, fps) and `<out>/<name>.bvh`.
+    Each becomes `<out>/<name>.npz` (positions_w_m, rotations_6d, fps, source) and `<out>/<name>.bvh`. No output takes
+    the place of a file that is imported, nor of what came of another one; importing a file again replaces its own.
+
+    Args:
+        options: what the files do not say; row: told of each file.
 
     Returns:
-        One entry a file: `file`, `frames` and `quality`, or `error` where it could not be imported.
+        One entry a file: `file`, `outputs` and how it was read, or `left_out` or `error` with the reason.
 
     Raises:
         InvalidInputError: nothing to import at `path`.
+        OSError: the folder `out` cannot be made.
     """
     path, out = Path(path), Path(out)
-    files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.suffix.lower() in SUFFIXES)
-    if not files:
-        raise InvalidInputError(f"no motion files at {path}", field="path", allowed=", ".join(SUFFIXES))
+    files = motion_files(path, but_not=out)
     out.mkdir(parents=True, exist_ok=True)
-    entries: list[dict[str, object]] = []
-    for k, file in enumerate(files):
-        name = file.stem if path.is_file() else "_".join(file.relative_to(path).with_suffix("").parts)
-        if progress is not None:
-            progress(name, k / len(files))
-        try:
-            clip, quality = load_clip(file)
-        except InvalidInputError as error:
-            entries.append({"file": str(file), "error": error.message})
-            continue
+    names = _Names(out, files)
+    entries: list[dict[str, Any]] = []
+    for outcome in read_all(files, path, options):
+        name, entry = "", outcome.as_dict()
+        if outcome.loaded is not None:
+            file = outcome.file
+            wanted = file.stem if path.is_file() else "_".join(file.relative_to(path).with_suffix("").parts)
+            name = names.take(file, wanted)
+            if name != wanted:
+                said = f"{wanted} is taken, so it is written as {name}"
+                outcome = replace(outcome, loaded=_warned(outcome.loaded, said))
+            try:
+                _write(out, name, outcome.loaded, file)
+                entry = outcome.as_dict() | {"outputs": [str(out / f"{name}{suffix}") for suffix in _SUFFIXES]}
+            except OSError as error:
+                outcome = Outcome(file, outcome.label, error=f"it cannot be written: {as_ours(error).message}")
+                entry = outcome.as_dict()
+        entries.append(entry)
+        row(outcome, name)
+    return entries
+
+
+def _warned(loaded: Loaded | None, said: str) -> Loaded:
+    assert loaded is not None
+    return replace(loaded, warnings=(*loaded.warnings, said))
+
+
+class _Names:
+    """Names of outputs; upper and lower case are the same, as they are on some file systems."""
+
+    def __init__(self, out: Path, inputs: Sequence[Path]):
+        self._out = out
+        self._inputs = {str(p.resolve()).casefold() for p in inputs}
+        self._used: set[str] = set()
+
+    def take(self, file: Path, wanted: str) -> str:
+        """A free name for what comes of `file`: the wanted one, or with the file's type, or with a number."""
+        typed = f"{wanted}_{file.suffix[1:].lower()}"
+        for name in itertools.chain((wanted, typed), (f"{typed}_{k}" for k in itertools.count(2))):
+            if name.casefold() not in self._used and self._free(name, file):
+                self._used.add(name.casefold())
+                return name
+        raise AssertionError("counting does not end")
+
+    def _free(self, name: str, file: Path) -> bool:
+        targets = [self._out / f"{name}{suffix}" for suffix in _SUFFIXES]
+        if any(str(target.resolve()).casefold() in self._inputs for target in targets):
+            return False
+        return not any(target.exists() for target in targets) or _made_from(targets[0]) == str(file.resolve())
+
+
+def _made_from(clip: Path) -> str:
+    """The recording an imported clip was made from, '' where it is none."""
+    try:
+        with np.load(clip, allow_pickle=False) as data:
+            return str(data["source"])
+    except (OSError, EOFError, ValueError, KeyError, IndexError, zipfile.BadZipFile):
+        return ""
+
+
+def _write(out: Path, name: str, loaded: Loaded | None, file: Path) -> None:
+    """Both files, each in place only when it is whole."""
+    assert loaded is not None
+    clip = loaded.clip
+    parts = [out / f".{name}.part{suffix}" for suffix in _SUFFIXES]
+    try:
         np.savez_compressed(
-            out / f"{name}.npz",
+            parts[0],
             positions_w_m=clip.positions_w_m.astype(np.float32),
             rotations_6d=clip.rotations_6d.astype(np.float32),
             fps=np.float32(clip.fps),
+            source=np.array(str(file.resolve())),
         )
-        write_bvh(out / f"{name}.bvh", clip)
-        entries.append({"file": str(file), "frames": len(clip), "quality": quality.as_dict()})
-    return entries
+        write_bvh(parts[1], clip)
+        for part, suffix in zip(parts, _SUFFIXES, strict=True):
+            os.replace(part, out / f"{name}{suffix}")
+    finally:
+        for part in parts:
+            part.unlink(missing_ok=True)

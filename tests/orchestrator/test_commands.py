@@ -11,7 +11,6 @@ import pytest
 from typer.testing import CliRunner
 
 from orchestrator.cli import main as cli
-from shared.errors import InvalidInputError
 from shared.motion.ik import clip_from_positions, standing_clip
 from shared.motion.io.bvh import write_bvh
 from tests.data.samples import stepping
@@ -91,16 +90,19 @@ def test_a_peer_that_is_not_there_is_told(tmp_path: Path) -> None:
     assert shown.exit_code == 1
 
 
-def test_import_reports_each_file_and_fails_only_when_none_is_usable(tmp_path: Path) -> None:
+def test_import_reports_each_file_and_fails_when_one_cannot_be_read(tmp_path: Path) -> None:
     source = tmp_path / "in"
     source.mkdir()
     (source / "bad.bvh").write_text("not motion")
     assert IN_PROCESS.invoke(cli.app, ["data", "import", str(source), str(tmp_path / "out")]).exit_code == 1
     write_bvh(source / "good.bvh", clip_from_positions(stepping(), 30.0, rebuild=True))
     shown = IN_PROCESS.invoke(cli.app, ["data", "import", str(source), str(tmp_path / "out")])
-    assert shown.exit_code == 0
-    assert "bad.bvh" in shown.output
+    assert shown.exit_code == 1
+    assert "error: bad.bvh: line 1: not BVH: 'not motion'" in shown.output
+    assert shown.output.strip().endswith("1 imported, 1 could not be read")
     assert (tmp_path / "out" / "good.npz").is_file()
+    (source / "bad.bvh").unlink()
+    assert IN_PROCESS.invoke(cli.app, ["data", "import", str(source), str(tmp_path / "out")]).exit_code == 0
 
 
 def test_eval_tracker_follows_a_folder_of_clips(tmp_path: Path) -> None:
@@ -110,12 +112,12 @@ def test_eval_tracker_follows_a_folder_of_clips(tmp_path: Path) -> None:
     write_bvh(clips / "stand" / "still.bvh", standing_clip(60, 30.0))
     (clips / "broken.bvh").write_text("not motion")
     result_file = tmp_path / "result.json"
-    run("eval", "tracker", "--clips", str(clips), "--tracker", "pd", "--seed", "3", "--json", str(result_file))
+    run("eval", "tracker", "--clips", str(clips), "--tracker", "pd", "--seed", "3", "--json", str(result_file), code=1)
     result = json.loads(result_file.read_text())
     assert (result["clips"], result["success"], result["seed"]) == (1, 1.0, 3)
     assert {"mpjpe_mm", "velocity_error_mps", "falls_per_min", "by_behaviour", "per_clip", "machine"} <= result.keys()
     assert result["by_behaviour"]["stand"]["clips"] == 1
-    assert list(result["left_out"]) == ["broken.bvh"]
+    assert list(result["left_out"]) == list(result["errors"]) == ["broken.bvh"]
     (clips / "stand" / "still.bvh").unlink()
-    with pytest.raises(InvalidInputError, match="broken"):
-        motions_of_files(clips)
+    motions, outcomes = motions_of_files(clips)
+    assert motions == [] and [outcome.label for outcome in outcomes] == ["broken.bvh"]

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import platform
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,11 +17,12 @@ import numpy as np
 import numpy.typing as npt
 import typer
 
-from shared.console import errors_for_people
+from shared.console import check_output_file, errors_for_people
 from shared.data.corpus import Corpus
-from shared.data.importer import load_clip
+from shared.data.reading import Outcome, read_all, summary
 from shared.errors import InvalidInputError
-from shared.motion.io.files import SUFFIXES
+from shared.motion.io.files import motion_files
+from shared.motion.io.options import ReadOptions, read_joint_map
 from shared.motion.resampling import resample
 from tracker_service.policy.learned import WEIGHTS, LearnedTracker
 from tracker_service.simulation.character_spec import HUMAN
@@ -33,32 +36,38 @@ F32 = npt.NDArray[np.float32]
 LEAST_TICKS = 30
 
 
-def motions_of_files(folder: Path) -> tuple[list[MotionInput], dict[str, str]]:
-    """Clips of a file or of all motion files below a folder, at 30 Hz, and why others were left out.
+def motions_of_files(
+    folder: Path, options: ReadOptions | None = None, say: Callable[[str], None] = lambda line: None
+) -> tuple[list[MotionInput], list[Outcome]]:
+    """Clips of a file or of all motion files below a folder, at 30 Hz, and what came of each file.
 
-    The behaviour is the name of the folder a file lies in.
+    The behaviour is the name of the folder a file lies in. `say` is told a row for each file, and its warnings.
+
+    Raises:
+        InvalidInputError: there is no motion file.
     """
-    files = [folder] if folder.is_file() else sorted(p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES)
-    if not files:
-        raise InvalidInputError(f"no motion files at {folder}", field="clips", allowed=", ".join(SUFFIXES))
     motions: list[MotionInput] = []
-    left_out: dict[str, str] = {}
-    for file in files:
-        try:
-            clip, _ = load_clip(file)
-        except InvalidInputError as error:
-            left_out[file.name] = error.message
-            continue
-        positions = resample(clip.positions_w_m, clip.fps, TICK_HZ)
-        if len(positions) < LEAST_TICKS:
-            left_out[file.name] = f"shorter than {LEAST_TICKS / TICK_HZ:g} s"
-            continue
-        motions.append(MotionInput(file.stem, file.parent.name, 1.0, positions))
-    if not motions:
-        why = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:3])
-        allowed = ", ".join(SUFFIXES)
-        raise InvalidInputError(f"no clip at {folder} can be followed: {why}", field="clips", allowed=allowed)
-    return motions, left_out
+    outcomes: list[Outcome] = []
+    for outcome in read_all(motion_files(folder), folder, options):
+        if outcome.loaded is not None:
+            positions = resample(outcome.loaded.clip.positions_w_m, outcome.loaded.clip.fps, TICK_HZ)
+            if len(positions) < LEAST_TICKS:
+                outcome = replace(outcome, loaded=None, left_out=f"shorter than {LEAST_TICKS / TICK_HZ:g} s")
+            else:
+                motions.append(MotionInput(outcome.file.stem, outcome.file.parent.name, 1.0, positions))
+        outcomes.append(outcome)
+        for line in outcome.lines():
+            say(line)
+    return motions, outcomes
+
+
+def told_of_files(outcomes: list[Outcome]) -> dict[str, Any]:
+    """Fields of the result on the files: `files`, `left_out` (all that were not judged, with the reason), `errors`."""
+    return {
+        "files": [outcome.as_dict() for outcome in outcomes],
+        "left_out": {o.label: o.left_out or o.error for o in outcomes if o.loaded is None},
+        "errors": {o.label: o.error for o in outcomes if o.error},
+    }
 
 
 def motions_of_corpus(folder: Path, split: str) -> list[MotionInput]:
@@ -95,31 +104,45 @@ def main(
     tracker: Annotated[str, typer.Option(help="ppo, or pd for the baseline")] = "ppo",
     json_file: Annotated[Path | None, typer.Option("--json", help="where to write the result")] = None,
     seed: Annotated[int, typer.Option(help="noted in the result; the evaluation has no randomness")] = 0,
+    fps: Annotated[float | None, typer.Option(help="frames per second of the files, in place of what they say")] = None,
+    up: Annotated[str, typer.Option(help="vertical axis of the files: x, y or z; auto finds it")] = "auto",
+    unit: Annotated[float | None, typer.Option(metavar="METRES", help="metres in one unit of the files")] = None,
+    joints: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON of our joint names to the files'")] = None,
 ) -> None:
-    """Follow every clip once and report success, errors and falls by behaviour."""
+    """Follow every clip once and report success, errors and falls by behaviour; exit code 1 if a file is unreadable."""
     if (clips is None) == (corpus is None):
         raise typer.BadParameter("give either --clips or --corpus")
     if tracker not in ("ppo", "pd"):
         raise typer.BadParameter(f"unknown tracker {tracker!r}; known: ppo, pd")
-    left_out: dict[str, str] = {}
+    check_output_file(json_file)
+    made_with = {"tracker": tracker, "weights": str(weights), "seed": seed}
+    made_with["machine"] = f"{platform.machine()} {platform.system()} {platform.release()}"
+
+    def write(result: dict[str, Any]) -> None:
+        if json_file is not None:
+            json_file.write_text(json.dumps(result | made_with, indent=2) + "\n", encoding="utf-8")
+
+    outcomes: list[Outcome] = []
     if clips is not None:
-        motions, left_out = motions_of_files(clips)
+        options = ReadOptions(fps, up.lower(), unit, read_joint_map(joints) if joints is not None else None)
+        motions, outcomes = motions_of_files(clips, options, typer.echo)
+        typer.echo(summary(outcomes))
     else:
         assert corpus is not None
         motions = motions_of_corpus(corpus, "heldout")
-    result = evaluate_weights(motions, weights if tracker == "ppo" else None)
-    result |= {"left_out": left_out, "tracker": tracker, "weights": str(weights), "seed": seed}
-    result["machine"] = f"{platform.machine()} {platform.system()} {platform.release()}"
-    if json_file is not None:
-        json_file.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    if not motions:
+        write({"clips": 0, **told_of_files(outcomes)})
+        raise InvalidInputError(f"no clip at {clips or corpus} can be followed", field="clips")
+    result = evaluate_weights(motions, weights if tracker == "ppo" else None) | told_of_files(outcomes)
+    write(result)
     for name, row in sorted(result["by_behaviour"].items()):
         typer.echo(f"{name:14} {row['success']:.2f} of {row['clips']:3}  {row['mpjpe_mm']:.0f} mm")
-    for name, reason in left_out.items():
-        typer.echo(f"left out {name}: {reason}")
     typer.echo(
         f"success {result['success']:.3f} of {result['clips']}, {result['mpjpe_mm']:.0f} mm, "
         f"{result['falls_per_min']:.2f} falls a minute"
     )
+    if any(outcome.error for outcome in outcomes):
+        raise typer.Exit(1)
 
 
 if __name__ == "__main__":

@@ -18,24 +18,28 @@ def motion_files(path: Path, but_not: Path | None = None) -> list[Path]:
     """The file itself, or all motion files below a folder in a stable order; hidden ones are passed over.
 
     Args:
-        but_not: a folder whose files do not count, such as one for results.
+        but_not: a folder for results: what lies in it does not count, or, where the recordings lie in it too, what
+            was imported into it.
 
     Raises:
         InvalidInputError: there are none.
     """
     if path.is_file():
         return [path]
-    apart = but_not.resolve() if but_not is not None else None
     found = [
         p
         for p in sorted(path.rglob("*"))
         if p.suffix.lower() in SUFFIXES
         and p.is_file()
         and not any(part.startswith(".") or part == "__MACOSX" for part in p.relative_to(path).parts)
-        and (apart is None or apart not in p.resolve().parents)
     ]
+    apart = but_not.resolve() if but_not is not None else None
+    if apart is not None and path.resolve() in apart.parents:
+        found = [p for p in found if apart not in p.resolve().parents]
+    own = {p for p in found if p.suffix == ".npz" and is_own_clip(p)}
     # An imported clip lies there twice, as npz and as BVH: one is enough.
-    found = [p for p in found if not (p.suffix == ".npz" and p.with_suffix(".bvh") in found and is_own_clip(p))]
+    found = [p for p in found if not (p in own and p.with_suffix(".bvh") in found)]
+    found = [p for p in found if not (p.with_suffix(".npz") in own and p.resolve().parent == apart)]
     if not found:
         raise InvalidInputError(f"no motion files at {path}", field="path", allowed=", ".join(SUFFIXES))
     return found

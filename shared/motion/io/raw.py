@@ -13,6 +13,10 @@ from shared.motion.io.landmarks import Array, find_landmarks, find_segments
 from shared.motion.rotations import matrix_from_6d, matrix_to_6d
 
 
+class LeftOutError(InvalidInputError):
+    """The file is sound, but there is nothing in it to use: no motion, or too short a one."""
+
+
 @dataclass(frozen=True)
 class RawMotion:
     """Motion of any skeleton. World Z up, metres.

@@ -12,7 +12,7 @@ from shared.errors import InvalidInputError
 from shared.motion.io.axes import TURNS, Y_UP_TO_Z_UP, axis_of
 from shared.motion.io.landmarks import Array, find_landmarks, find_segments
 from shared.motion.io.options import ReadOptions, rate_of
-from shared.motion.io.raw import RawMotion, accumulate, compose
+from shared.motion.io.raw import LeftOutError, RawMotion, accumulate, compose
 from shared.motion.kinematics import forward_kinematics
 from shared.motion.rotations import matrix_from_6d, matrix_from_rotvec
 from shared.motion.skeleton import CANONICAL
@@ -25,10 +25,6 @@ _PLACE_KEYS = ("trans", "transl", "smpl_trans")
 _OURS = ("positions_w_m", "rotations_6d")
 _UPRIGHT = 0.7
 _MOSTLY = 0.8
-
-
-class NoMotionError(InvalidInputError):
-    """The file is sound but holds no motion, such as the shape files beside AMASS recordings."""
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
@@ -47,7 +43,7 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
             f"{path.name}: not a readable npz, it may be cut off or broken ({error})", field="path"
         ) from error
     if not any(k in arrays for k in (*_WHOLE_KEYS, *_BODY_KEYS, *_OURS)):
-        raise NoMotionError(
+        raise LeftOutError(
             f"{path.name}: no motion in it (its arrays: {', '.join(names[:12]) or 'none'})",
             field="path",
             allowed="poses and trans, or root_orient, pose_body and trans",
@@ -147,7 +143,7 @@ def read_smpl_npz(
         fps: frames per second in place of the file's.
 
     Raises:
-        NoMotionError: a sound npz that holds no poses.
+        LeftOutError: a sound npz that holds no poses.
         InvalidInputError: broken, missing arrays or wrong shapes, values that are not finite, or no possible rate.
     """
     path = Path(path)

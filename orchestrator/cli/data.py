@@ -1,0 +1,69 @@
+"""`motionloop data import`, `motionloop data build`: recorded motion comes in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from orchestrator.cli.common import JsonFile, for_people, provenance, save_json
+from orchestrator.cli.delegate import need
+from shared.console import EXPECTED, as_ours, check_output_file
+
+if TYPE_CHECKING:
+    from shared.motion.io.options import ReadOptions
+
+Fps = Annotated[float | None, typer.Option(help="frames per second of the files, in place of what they say")]
+UpAxis = Annotated[str, typer.Option(help="vertical axis of the files: x, y or z; auto finds it")]
+Unit = Annotated[float | None, typer.Option(metavar="METRES", help="metres in one unit of the files")]
+Joints = Annotated[Path | None, typer.Option(metavar="FILE", help="JSON of our joint names to the files'")]
+
+
+def read_options(fps: float | None, up: str, unit: float | None, joints: Path | None) -> ReadOptions:
+    """The options as the readers take them."""
+    from shared.motion.io.options import ReadOptions, read_joint_map
+
+    return ReadOptions(fps, up.lower(), unit, read_joint_map(joints) if joints is not None else None)
+
+
+def data_import(
+    source: Annotated[Path, typer.Argument(exists=True, help="BVH, ASF + AMC or SMPL npz, or a folder of them")],
+    out: Annotated[Path, typer.Argument(help="folder for the retargeted clips")],
+    fps: Fps = None,
+    up: UpAxis = "auto",
+    unit: Unit = None,
+    joints: Joints = None,
+    json: JsonFile = None,
+) -> None:
+    """Bring recorded motion onto the skeleton; exit code 1 if a file cannot be read."""
+    need("scipy")
+    from shared.data.importer import import_path
+    from shared.data.reading import Outcome, summary
+
+    outcomes: list[Outcome] = []
+
+    def row(outcome: Outcome, name: str) -> None:
+        outcomes.append(outcome)
+        for line in outcome.lines(f"  -> {name}" if name else ""):
+            typer.echo(line)
+
+    with for_people():
+        check_output_file(json)
+        entries: list[dict[str, Any]] = []
+        try:
+            entries = import_path(source, out, read_options(fps, up, unit, joints), row)
+        except EXPECTED as error:
+            save_json(json, {**_counted(entries), "error": as_ours(error).message, **provenance()})
+            raise
+        result = _counted(entries)
+        save_json(json, {**result, **provenance()})
+    typer.echo(summary(outcomes, "imported"))
+    raise typer.Exit(1 if result["refused"] else 0)
+
+
+def _counted(entries: list[dict[str, Any]]) -> dict[str, Any]:
+    refused = sum("error" in entry for entry in entries)
+    left_out = sum("left_out" in entry for entry in entries)
+    imported = len(entries) - refused - left_out
+    return {"imported": imported, "left_out": left_out, "refused": refused, "files": entries}
