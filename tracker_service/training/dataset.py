@@ -14,23 +14,26 @@ from shared.errors import InvalidInputError
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.simulation.kinematics import BodyKinematics, qvel_from_qpos
 from tracker_service.simulation.reference import TICK_HZ, central_velocity, reference_ticks
+from tracker_service.training.seats import NO_SEAT
 
 F32 = npt.NDArray[np.float32]
 PLAN = "plan"
 """Behaviour of recorded plans."""
 PIECE_TICKS, PIECE_OVERLAP_TICKS = 180, 60
-PREPARATION = "4"
+PREPARATION = "5"
 """Changes whenever prepared arrays would come out differently; part of the cache's key."""
 
 
 @dataclass(frozen=True)
 class MotionInput:
-    """A clip to prepare: its name, behaviour, sampling weight and joint positions (T, 22, 3) at 30 Hz."""
+    """A clip to prepare: its name, behaviour, sampling weight and joint positions (T, 22, 3) at 30 Hz, and the seat in
+    it: centre of the top (x, y, z) and heading."""
 
     name: str
     behaviour: str
     weight: float
     positions_w_m: npt.NDArray[np.floating]
+    seat: tuple[float, float, float, float] = NO_SEAT
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class ReferenceSet:
         pos_w_m, linvel_w_mps: (N, J, 3). rot_xy: (N, J, 2, 3) the first two columns of each body's world rotation.
         qpos: (N, 7+H). qvel: (N, 6+H).
         start, length: (C,) first tick and number of ticks of each clip. weight: (C,) for sampling.
-        names, behaviours: (C,) of each clip.
+        names, behaviours: (C,) of each clip. seat: (C, 4) centre of its top and heading, far below where there is none.
     """
 
     pos_w_m: F32
@@ -54,6 +57,7 @@ class ReferenceSet:
     weight: npt.NDArray[np.float64]
     names: npt.NDArray[np.str_]
     behaviours: npt.NDArray[np.str_]
+    seat: npt.NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.start)
@@ -125,6 +129,7 @@ def prepare(
         weight=np.array([m.weight for m in motions], dtype=np.float64),
         names=np.array([m.name for m in motions], dtype=np.str_),
         behaviours=np.array([m.behaviour for m in motions], dtype=np.str_),
+        seat=np.array([m.seat for m in motions], dtype=np.float64).reshape(-1, 4),
     )
 
 
@@ -137,7 +142,7 @@ def prepare_cached(
     """As `prepare`, kept in `folder` under a hash of the motions and the character."""
     digest = hashlib.sha256((PREPARATION + human.character.model_dump_json()).encode())
     for motion in motions:
-        digest.update(f"{motion.name}|{motion.behaviour}|{motion.weight}".encode())
+        digest.update(f"{motion.name}|{motion.behaviour}|{motion.weight}|{motion.seat}".encode())
         digest.update(np.ascontiguousarray(motion.positions_w_m, dtype=np.float32).tobytes())
     path = folder / f"references_{digest.hexdigest()[:16]}.npz"
     if path.exists():

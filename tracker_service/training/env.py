@@ -22,12 +22,13 @@ from tracker_service.policy.observations import (
     observation_size,
     observe,
 )
-from tracker_service.simulation.humanoid import PHYSICS_HZ, Humanoid, humanoid_model
+from tracker_service.simulation.humanoid import PHYSICS_HZ, Humanoid
 from tracker_service.simulation.kinematics import BodyKinematics, BodyStates
 from tracker_service.simulation.reference import TICK_HZ
 from tracker_service.training import rewards
 from tracker_service.training.dataset import ReferenceSet
 from tracker_service.training.sampling import FailureTable
+from tracker_service.training.seats import CONTROL_SPEC, HEIGHTS, height_points, mocap_of, seat_heights, training_model
 
 F32 = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int64]
@@ -47,6 +48,7 @@ class EnvSettings(BaseModel):
         episode_ticks: longest episode.
         stop_mean_m, stop_max_m: mean and largest joint distance that end an episode.
         noise_*: of the starting state. push_*: chance a tick and size of a sudden change of the root's velocity.
+        heights: observations end with the heights of what is underfoot and under the seat (`training.seats`).
         jump_*: chance a tick and size of a sideways jump of the reference, which decays by jump_decay a tick
             (a plan's junction).
     """
@@ -68,6 +70,7 @@ class EnvSettings(BaseModel):
     jump_decay: float = 0.92
     fail_floor: float = 0.15
     exploded_mps: float = 30.0
+    heights: bool = False
 
 
 @dataclass(frozen=True)
@@ -99,7 +102,7 @@ class TrackingEnv:
         self.settings = settings
         self.human = human
         self.references = references
-        self.model = humanoid_model(human)
+        self.model = training_model(human)
         self.kinematics = BodyKinematics(human)
         threads = settings.threads
         self._rollout = rollout.Rollout(nthread=threads if threads > 1 else 0)
@@ -115,7 +118,8 @@ class TrackingEnv:
         self.begun = np.zeros(b, dtype=np.int64)
         self.failures = FailureTable(references.length, references.weight, settings.fail_floor, 2 * _TAIL_TICKS)
         self.ratio = human.damping / human.stiffness
-        self.observation_size = observation_size(len(human.skeleton), h)
+        self.observation_size = observation_size(len(human.skeleton), h) + (HEIGHTS if settings.heights else 0)
+        self._feet = (human.skeleton.index("left_foot"), human.skeleton.index("right_foot"))
         self.hinges = h
         self._nq, self._nv = self.model.nq, self.model.nv
         self._bodies: BodyStates | None = None
@@ -209,7 +213,7 @@ class TrackingEnv:
             ref_pos[:, k, :, :2] += (jump * self.settings.jump_decay**ticks)[:, None]
         rot_xy = ref.rot_xy[near, 0].astype(np.float64)
         root_rot = np.stack([rot_xy[:, 0], rot_xy[:, 1], np.cross(rot_xy[:, 0], rot_xy[:, 1])], axis=-1)
-        return observe(
+        seen = observe(
             PolicyInput(
                 pos_w_m=bodies.pos_w_m[rows],
                 linvel_w_mps=bodies.linvel_w_mps[rows],
@@ -223,6 +227,11 @@ class TrackingEnv:
                 ref_hinge_rad=np.stack([ref.qpos[self._frames(k, rows), 7:] for k in PREVIEW_TICKS], axis=1),
             )
         )
+        if not self.settings.heights:
+            return seen
+        points = height_points(bodies.pos_w_m[rows], bodies.rot_w[rows, 0, :, 0], self._feet)
+        heights = seat_heights(points, bodies.pos_w_m[rows, 0, 2], ref.seat[self.clip[rows]])
+        return np.concatenate([seen, heights.astype(np.float32)], axis=-1)
 
     def targets(self, action: F32) -> npt.NDArray[np.float64]:
         """Servo targets (B, H) of clipped actions."""
@@ -239,8 +248,11 @@ class TrackingEnv:
             keeps the state it had.
         """
         s = self.settings
-        control = np.repeat(self.targets(action)[:, None], SUBSTEPS, axis=1)
-        states, _ = self._rollout.rollout(self.model, self._data, self.state, control, nstep=SUBSTEPS)
+        control = np.concatenate([self.targets(action), mocap_of(self.references.seat[self.clip])], axis=-1)
+        states, _ = self._rollout.rollout(
+            self.model, self._data, self.state, np.repeat(control[:, None], SUBSTEPS, axis=1),
+            control_spec=CONTROL_SPEC, nstep=SUBSTEPS,
+        )  # fmt: skip
         new = states[:, -1]
         speed = np.abs(new[:, 1 + self._nq : 1 + self._nq + 6])
         exploded = ~np.isfinite(new).all(axis=-1) | ~(speed.max(axis=-1) < s.exploded_mps)

@@ -248,3 +248,8 @@ class Mirror:
     def some_hinges(self, values: Tensor, which: Tensor) -> Tensor:
         """Hinge values (B, H), mirrored where `which` (B,) is true."""
         return torch.where(which[:, None], self.hinge(values), values)
+
+    def some_seats(self, seat: Tensor, which: Tensor) -> Tensor:
+        """Seats (B, 4), centre of the top and heading, mirrored where `which` (B,) is true."""
+        sign = torch.tensor([1.0, -1.0, 1.0, -1.0], device=seat.device)
+        return torch.where(which[:, None], seat * sign, seat)

@@ -15,12 +15,12 @@ from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.training.dataset import ReferenceSet
 from tracker_service.training.env import EnvSettings
 from tracker_service.training.network import mlp
-from tracker_service.training.world.body import Kinematics, Mirror, State, tensor
+from tracker_service.training.world.body import Bodies, Kinematics, Mirror, State, tensor
 from tracker_service.training.world.imagination import Imagination, Sight, can_compile, mixed
 from tracker_service.training.world.model import WorldModel, model_loss
 from tracker_service.training.world.replay import Places, Replay
 from tracker_service.training.world.settings import WorldSettings
-from tracker_service.training.world.sight import Reference, observe, still_tracked
+from tracker_service.training.world.sight import Reference, observe, still_tracked, support_heights
 
 F32 = npt.NDArray[np.float32]
 MODEL_GRADIENT_NORM = 5.0
@@ -45,13 +45,14 @@ class References:
     qvel: Tensor
     start: Tensor
     length: Tensor
+    seat: Tensor
 
     @classmethod
     def of(cls, s: ReferenceSet, device: torch.device | str) -> References:
         """On the device."""
         pos, vel, rot, qpos, qvel = (tensor(a, device) for a in (s.pos_w_m, s.linvel_w_mps, s.rot_xy, s.qpos, s.qvel))
         start, length = (torch.from_numpy(a).to(device) for a in (s.start, s.length))
-        return cls(pos, vel, rot, qpos, qvel, start, length)
+        return cls(pos, vel, rot, qpos, qvel, start, length, tensor(s.seat, device))
 
     def at(self, clip: Tensor, time: Tensor, jump_m: Tensor, decay: float) -> Reference:
         """What is previewed at a tick (B,) of clips (B,), displaced by jumps (B, 2) that decay from now on."""
@@ -94,6 +95,7 @@ class Learner:
         self.sight = Sight(observation).to(device)
         self.actor = mlp([observation, *s.hidden, hinges], 0.01).to(device)
         self.critic = mlp([observation, *s.hidden, 1], 0.05).to(device)
+        self._feet = (human.skeleton.index("left_foot"), human.skeleton.index("right_foot"))
         self.model = WorldModel(bodies, hinges, heights, s.model_hidden).to(device)
         self.averaged = deepcopy(self.actor)
         self.target_critic = deepcopy(self.critic)
@@ -135,8 +137,11 @@ class Learner:
         """States (N,) at places of the ring."""
         return State.of(self._tensor(replay.qpos[index]), self._tensor(replay.qvel[index]))
 
-    def _heights(self, count: int) -> Tensor:
-        return torch.zeros(count, self.heights, device=self.device)
+    def _heights(self, bodies: Bodies, seat: Tensor) -> Tensor:
+        """(B, K) what is underfoot; without gradient, for it is flat but for its edges."""
+        if not self.heights:
+            return bodies.pos_w_m.new_zeros(len(seat), 0)
+        return support_heights(bodies, seat, self._feet)
 
     @torch.no_grad()
     def take_normalisation(self, replay: Replay, rng: np.random.Generator, sight: bool, model: bool) -> None:
@@ -145,7 +150,9 @@ class Learner:
         if model:
             s, n = self.state_at(replay, places.later(0)), self.state_at(replay, places.later(1))
             target = self._tensor(replay.target[places.later(0)])
-            self.model.normalize_by(s, self.kinematics(s), target, self._heights(len(target)), n)
+            bodies = self.kinematics(s)
+            seat = self.references.seat[self._tensor(replay.clip[places.later(0)])]
+            self.model.normalize_by(s, bodies, target, self._heights(bodies, seat), n)
         if sight:
             seen = self._tensor(replay.observation[places.later(0)])
             self.sight.mean.copy_(seen.mean(0))
@@ -160,11 +167,13 @@ class Learner:
             return {}
         which = torch.from_numpy(rng.random(count) < s.mirrored_share).to(self.device)
         state = self.mirror.some(self.state_at(replay, places.later(0)), which)
-        bodies, heights = self.kinematics(state), self._heights(count)
+        bodies = self.kinematics(state)
+        seat = self.mirror.some_seats(self.references.seat[self._tensor(replay.clip[places.later(0)])], which)
         loss = torch.zeros((), device=self.device)
         first = 0.0
         for k in range(s.model_ticks):
             target = self.mirror.some_hinges(self._tensor(replay.target[places.later(k)]), which)
+            heights = self._heights(bodies, seat)
             state, bodies = self.imagination.model_tick(state, bodies, target, heights)
             true = self.mirror.some(self.state_at(replay, places.later(k + 1)), which)
             loss = loss + model_loss(self.model, state, true)
@@ -203,7 +212,7 @@ class Learner:
         clip, time = self._tensor(replay.clip[index]), self._tensor(replay.time[index])
         jump = self._tensor(replay.jump_m[index])
         previous = self._tensor(replay.previous_action[index]).float()
-        heights = self._heights(len(clip))
+        seat = self.references.seat[clip]
         for module in (self.model, self.critic):
             module.requires_grad_(False)
         bodies = self.kinematics(state)
@@ -213,7 +222,7 @@ class Learner:
         power = torch.zeros((), device=self.device)
         for k in range(s.horizon):
             ref = self.references.at(clip, time + k, jump * env.jump_decay**k, env.jump_decay)
-            seen = self.imagination.tick(state, bodies, ref, heights)
+            seen = self.imagination.tick(state, bodies, ref, self._heights(bodies, seat))
             state, bodies = seen.state, seen.bodies
             action = seen.action.clamp(-1.0, 1.0)
             reward = seen.reward - s.smoothness * ((action - previous) ** 2).mean(-1) - s.power * seen.power_kw
@@ -223,7 +232,7 @@ class Learner:
             power = power + seen.power_kw.detach().mean()
             alive = alive * still_tracked(seen.distance_m.detach(), env.stop_mean_m, env.stop_max_m)
         ref = self.references.at(clip, time + s.horizon, jump * env.jump_decay**s.horizon, env.jump_decay)
-        last = observe(state, bodies, ref, heights)
+        last = observe(state, bodies, ref, self._heights(bodies, seat))
         total = total + alive * s.gamma**s.horizon * self.value(last)
         # A clip's last ticks, where the preview stands still, are never simulated: the critic knows nothing of them.
         inside = (time + s.horizon < self.references.length[clip] - TAIL_TICKS).float()

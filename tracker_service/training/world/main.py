@@ -48,7 +48,7 @@ def train(
 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, ask_to_stop)
-    env = EnvSettings(envs=envs, threads=threads)
+    env = EnvSettings(envs=envs, threads=threads, heights=True)
     trainer = WorldTrainer(human, train_set, heldout_set, out, env, settings, seed, device)
     say(f"bf16 {trainer.learner.bf16}, compiled {trainer.learner.compiled}")
     checkpoint = out / "checkpoint.pt"

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from shared.plugins.interfaces import GROUND_GRID_M
 from tracker_service.policy.observations import FEEDFORWARD_LIMIT_RAD
+from tracker_service.training.seats import SEAT_SIZE_M
 from tracker_service.training.world.body import Bodies, State, heading_frame, into, small_matmul
 
 
@@ -97,3 +99,21 @@ def tick_reward(state: State, bodies: Bodies, ref: Reference) -> tuple[Tensor, T
 def still_tracked(distance: Tensor, stop_mean_m: float, stop_max_m: float) -> Tensor:
     """(B,) whether joint distances (B, J) let an episode go on."""
     return (distance.mean(-1) < stop_mean_m) & (distance.max(-1).values < stop_max_m)
+
+
+@torch.no_grad()
+def support_heights(bodies: Bodies, seat: Tensor, feet: tuple[int, int]) -> Tensor:
+    """(B, HEIGHTS) heights of seats (B, 4) at the points of `training.seats.height_points`."""
+    pos = bodies.pos_w_m
+    forward = bodies.rot_w[:, 0, :2, 0]
+    ahead = forward / forward.norm(dim=-1, keepdim=True).clamp(min=1e-6)
+    left = torch.stack([-ahead[:, 1], ahead[:, 0]], -1)
+    root = pos[:, 0, :2]
+    grid = [root + a * ahead + b * left for a in GROUND_GRID_M for b in GROUND_GRID_M]
+    points = torch.stack([*grid, pos[:, feet[0], :2], pos[:, feet[1], :2], root], 1)
+    offset = points - seat[:, None, :2]
+    c, s = seat[:, 3:].cos(), seat[:, 3:].sin()
+    along, across = c * offset[..., 0] + s * offset[..., 1], c * offset[..., 1] - s * offset[..., 0]
+    over = (along.abs() <= SEAT_SIZE_M[0] / 2) & (across.abs() <= SEAT_SIZE_M[1] / 2)
+    top = seat[:, 2:3]
+    return torch.where(over & (top > 0) & (top < pos[:, :1, 2]), top, torch.zeros_like(along))

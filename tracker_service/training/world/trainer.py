@@ -24,6 +24,7 @@ from tracker_service.simulation.reference import TICK_HZ
 from tracker_service.training.dataset import ReferenceSet
 from tracker_service.training.env import EnvSettings, TrackingEnv
 from tracker_service.training.evaluate import evaluate
+from tracker_service.training.seats import HEIGHTS
 from tracker_service.training.world.learner import Learner
 from tracker_service.training.world.replay import Replay
 from tracker_service.training.world.settings import WorldSettings
@@ -55,7 +56,8 @@ class WorldTrainer:
         torch.manual_seed(seed)
         self.human, self.heldout, self.out, self.settings = human, heldout_set, out, settings
         self.env = TrackingEnv(human, train_set, env_settings, seed)
-        self.learner = Learner(human, train_set, env_settings, settings, self.env.observation_size, 0, device)
+        heights = HEIGHTS if env_settings.heights else 0
+        self.learner = Learner(human, train_set, env_settings, settings, self.env.observation_size, heights, device)
         self.replay = Replay(settings.buffer_ticks, env_settings.envs, self.env.observation_size, self.env.hinges)
         self.rng = np.random.default_rng(seed + 1)
         self.samples = self.iteration = 0

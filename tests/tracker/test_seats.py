@@ -1,0 +1,82 @@
+"""Seats in training: a block that carries, at its own height in each environment, and is seen alike everywhere."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from shared.motion.ik import standing_clip
+from tracker_service.simulation.character_spec import character
+from tracker_service.simulation.humanoid import humanoid
+from tracker_service.training.dataset import MotionInput, ReferenceSet, prepare
+from tracker_service.training.env import EnvSettings, TrackingEnv
+from tracker_service.training.seats import HEIGHTS, height_points, seat_heights
+from tracker_service.training.world.body import Kinematics, Mirror, State, tensor
+from tracker_service.training.world.sight import support_heights
+
+HUMAN = humanoid(character("human"))
+FEET = (HUMAN.skeleton.index("left_foot"), HUMAN.skeleton.index("right_foot"))
+HIGH, LOW = (-0.1, 0.05, 0.45, 0.4), (-0.1, 0.0, 0.25, 0.0)
+
+
+@pytest.fixture(scope="module")
+def references() -> ReferenceSet:
+    stand = standing_clip(60, 30.0).positions_w_m
+    seats = {"high": HIGH, "low": LOW}
+    return prepare(HUMAN, [MotionInput(n, "sit", 1.0, stand, s) for n, s in seats.items()] + [
+        MotionInput("none", "stand", 1.0, stand)
+    ])  # fmt: skip
+
+
+def test_limp_bodies_come_to_rest_on_their_own_seats(references: ReferenceSet) -> None:
+    env = TrackingEnv(HUMAN, references, EnvSettings(envs=3, heights=True), seed=0)
+    env.start_at(np.arange(3))
+    squat = np.zeros((3, env.hinges), np.float32)
+    # Hips and knees folded in the air over the seats: the body falls on what is below it.
+    for name, angle in (("hip_0", -1.5), ("knee_0", 1.5)):
+        for side in ("left_", "right_"):
+            hinge = HUMAN.hinges.names.index(side + name)
+            env.state[:, 1 + 7 + hinge] = angle
+            squat[:, hinge] = angle
+    env.state[:, 3] = 0.75
+    env.moved()
+    env.references = replace(references, qpos=np.repeat(env.qpos.astype(np.float32)[:1], len(references.qpos), 0))
+    lowest = []
+    for _ in range(20):
+        env.advance(np.zeros((3, env.hinges), np.float32))
+        lowest.append(env.bodies().pos_w_m[:, 0, 2].copy())
+    high, low, floor = np.min(lowest, axis=0)
+    assert HIGH[2] + 0.05 < high < HIGH[2] + 0.2
+    assert LOW[2] + 0.05 < low < high - 0.1
+    assert floor < low - 0.1
+    env.close()
+
+
+def test_heights_are_the_seats_top_below_the_pelvis_only(references: ReferenceSet) -> None:
+    env = TrackingEnv(HUMAN, references, EnvSettings(envs=3, heights=True), seed=0)
+    seen = env.start_at(np.arange(3))[:, -HEIGHTS:]
+    assert seen[0, -1] == np.float32(0.45) and seen[1, -1] == np.float32(0.25) and not seen[2].any()
+    assert not seen[0, 8]  # 0.4 m ahead and to the left is beyond the seat's edge
+    bodies = env.bodies()
+    points = height_points(bodies.pos_w_m, bodies.rot_w[:, 0, :, 0], FEET)
+    assert not seat_heights(points, np.full(3, 0.2), references.seat).any()  # a body below the seat
+    env.close()
+
+
+def test_torch_and_its_mirror_see_the_same(references: ReferenceSet) -> None:
+    env = TrackingEnv(HUMAN, references, EnvSettings(envs=3, heights=True), seed=0)
+    env.start_at(np.arange(3))
+    env.state[:, 1:3] += np.array([[0.1, 0.05], [-0.2, 0.1], [0.0, 0.0]])
+    env.moved()
+    state, seat = State.of(tensor(env.qpos), tensor(env.qvel)), tensor(references.seat)
+    heights = support_heights(Kinematics(HUMAN)(state), seat, FEET)
+    np.testing.assert_allclose(heights, env.observe()[:, -HEIGHTS:], atol=1e-6)
+    mirror, everyone = Mirror(HUMAN), torch.ones(3, dtype=torch.bool)
+    other = support_heights(Kinematics(HUMAN)(mirror.state(state)), mirror.some_seats(seat, everyone), FEET)
+    grid = other[:, :9].view(3, 3, 3).flip(2).flatten(1)
+    torch.testing.assert_close(torch.cat([grid, other[:, [10, 9, 11]]], 1), heights)
+    assert heights[:2].any()
+    env.close()
