@@ -10,8 +10,12 @@ import torch
 
 from shared.errors import InvalidInputError
 from shared.motion.ik import standing_clip
+from shared.scenes.files import load_scene
+from tracker_service.policy.learned import LearnedTracker
+from tracker_service.simulation.character import SimulatedCharacter
 from tracker_service.simulation.character_spec import character
 from tracker_service.simulation.humanoid import humanoid
+from tracker_service.simulation.scene import build_scene
 from tracker_service.training.dataset import MotionInput, ReferenceSet, prepare
 from tracker_service.training.env import EnvSettings, TrackingEnv
 from tracker_service.training.sampling import FailureTable
@@ -140,6 +144,23 @@ def test_exported_weights_start_a_learner(references: ReferenceSet, tmp_path: Pa
     other = Learner(HUMAN, references, SMALL, TINY.model_copy(update={"hidden": (8, 8)}), t.env.observation_size, 0)
     with pytest.raises(InvalidInputError, match="another size"):
         warm_start(other, path)
+
+
+def test_the_service_acts_as_training_does_on_a_seat_too(references: ReferenceSet, tmp_path: Path) -> None:
+    settings = SMALL.model_copy(update={"heights": True})
+    t = WorldTrainer(HUMAN, references, references, tmp_path, settings, TINY, seed=3)
+    t.prepare(lambda line: None, fresh_sight=True, fresh_model=True)
+    with torch.no_grad():
+        t.learner.averaged[-1].weight.mul_(100.0)
+    path = export_learner(t.learner, tmp_path / "learned.safetensors", {})
+    tracker = LearnedTracker(t.env.ratio, path)
+    seen = t.env.observe()
+    seen[:, -1] = 0.4
+    wanted = np.clip(t.learner.act(seen, averaged=True), -1, 1)
+    np.testing.assert_allclose(tracker.network(seen), wanted, atol=5e-3)
+    assert np.abs(wanted).max() > 0.01
+    body = SimulatedCharacter(build_scene(HUMAN, load_scene("flat")), tracker)
+    assert not body.step(3)["fallen"].any()
 
 
 def test_windows_never_cross_a_cut_and_failures_are_not_bootstrapped() -> None:

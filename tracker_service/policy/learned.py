@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +37,7 @@ class PolicyCard(BaseModel):
     layers: int = Field(ge=1)
     action_scale_rad: float = Field(gt=0)
     observation_clip: float = Field(gt=0)
+    observation: Literal["flat", "heights"] = "flat"
 
 
 class PolicyNetwork:
@@ -108,10 +110,19 @@ class LearnedTracker:
 
     def act(self, character_ids: Sequence[str], observations: Sequence[TrackerObservation]) -> Array:
         """(B, H) servo targets in radians."""
-        action = self.network(observe(policy_input(observations)))
+        seen = observe(policy_input(observations))
+        if self.card.observation == "heights":
+            seen = np.concatenate([seen, support_heights(observations)], axis=-1)
+        action = self.network(seen)
         ref = np.stack([o.ref_hinge_rad[:2] for o in observations])
         led = feedforward_targets(ref[:, 0], ref[:, 1], TICK_HZ, self._ratio)
         return led + self.card.action_scale_rad * action
+
+
+def support_heights(observations: Sequence[TrackerObservation]) -> F32:
+    """(B, 12) heights of the ground grid, under the feet and under the pelvis; zeros on a flat floor."""
+    rows = [np.concatenate([o.ground_height_w_m, o.foot_height_w_m, o.seat_height_w_m]) for o in observations]
+    return np.asarray(rows, dtype=np.float32)
 
 
 def policy_input(observations: Sequence[TrackerObservation]) -> PolicyInput:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from shared.data.corpus import ClipInfo
 from shared.errors import InvalidInputError
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.simulation.kinematics import BodyKinematics, qvel_from_qpos
@@ -61,6 +62,12 @@ class ReferenceSet:
 
     def __len__(self) -> int:
         return len(self.start)
+
+
+def seat_in(clip: ClipInfo) -> tuple[float, float, float, float]:
+    """Centre of the top and heading of the seat in a clip; out of the way where there is none."""
+    seat = getattr(clip, "seat", None)
+    return NO_SEAT if seat is None else (*seat.top_m, seat.heading_rad)
 
 
 def load_bank(folder: Path) -> list[MotionInput]:

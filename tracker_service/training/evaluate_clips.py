@@ -28,7 +28,7 @@ from tracker_service.policy.learned import WEIGHTS, LearnedTracker
 from tracker_service.simulation.character_spec import HUMAN
 from tracker_service.simulation.humanoid import humanoid
 from tracker_service.simulation.reference import TICK_HZ
-from tracker_service.training.dataset import MotionInput, prepare
+from tracker_service.training.dataset import MotionInput, prepare, seat_in
 from tracker_service.training.env import EnvSettings
 from tracker_service.training.evaluate import evaluate
 
@@ -74,7 +74,7 @@ def motions_of_corpus(folder: Path, split: str) -> list[MotionInput]:
     """Clips of one split of a corpus; mirror images are not judged a second time."""
     corpus = Corpus.load(folder)
     return [
-        MotionInput(clip.name, clip.behaviour, 1.0, corpus.positions(i))
+        MotionInput(clip.name, clip.behaviour, 1.0, corpus.positions(i), seat_in(clip))
         for i, clip in enumerate(corpus.clips)
         if clip.split == split and clip.frames >= LEAST_TICKS and not clip.mirrored
     ]
@@ -89,8 +89,11 @@ def evaluate_weights(motions: list[MotionInput], weights: Path | None = WEIGHTS)
     def rest(observation: F32) -> F32:
         return np.zeros((len(observation), hinges), np.float32)
 
-    policy = rest if weights is None else LearnedTracker(human.damping / human.stiffness, weights).network
-    return evaluate(EnvSettings(), references, human, policy)
+    if weights is None:
+        return evaluate(EnvSettings(), references, human, rest)
+    tracker = LearnedTracker(human.damping / human.stiffness, weights)
+    settings = EnvSettings(heights=tracker.card.observation == "heights")
+    return evaluate(settings, references, human, tracker.network)
 
 
 app = typer.Typer(add_completion=False)

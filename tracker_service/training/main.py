@@ -14,7 +14,7 @@ import torch
 import typer
 
 from shared.console import errors_for_people
-from shared.data.corpus import ClipInfo, Corpus
+from shared.data.corpus import Corpus
 from tracker_service.simulation.character_spec import HUMAN
 from tracker_service.simulation.humanoid import Humanoid, humanoid
 from tracker_service.training.dataset import (
@@ -24,22 +24,16 @@ from tracker_service.training.dataset import (
     largest_change_rad,
     load_bank,
     prepare_cached,
+    seat_in,
 )
 from tracker_service.training.env import EnvSettings
 from tracker_service.training.ppo import PpoSettings
-from tracker_service.training.seats import NO_SEAT
 from tracker_service.training.trainer import Trainer
 
 LEAST_TICKS = 30
 HELDOUT_PIECE = 12
 LARGEST_CHANGE_RAD = 1.0
 """Arms circled backward and deep squats pass a pole of the shoulder's or hip's three hinges, where the angles jump."""
-
-
-def seat_in(clip: ClipInfo) -> tuple[float, float, float, float]:
-    """Centre of the top and heading of the seat in a clip; out of the way where there is none."""
-    seat = getattr(clip, "seat", None)
-    return NO_SEAT if seat is None else (*seat.top_m, seat.heading_rad)
 
 
 def motions(corpus: Corpus, split: str, mirrored: bool = True) -> list[MotionInput]:

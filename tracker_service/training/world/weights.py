@@ -63,6 +63,7 @@ def export_learner(learner: Learner, out: Path, card: dict[str, Any]) -> Path:
         "layers": len(actor) // 2,
         "action_scale_rad": EnvSettings().action_scale_rad,
         "observation_clip": OBSERVATION_CLIP,
+        "observation": "heights" if learner.heights else "flat",
         **card,
     }
     out.with_suffix(".json").write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
