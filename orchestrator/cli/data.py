@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from orchestrator.cli.common import JsonFile, for_people, provenance, save_json
+from orchestrator.cli.common import JsonFile, console, for_people, provenance, save_json
 from orchestrator.cli.delegate import need
 from shared.console import EXPECTED, as_ours, check_output_file
 
@@ -60,6 +60,47 @@ def data_import(
         save_json(json, {**result, **provenance()})
     typer.echo(summary(outcomes, "imported"))
     raise typer.Exit(1 if result["refused"] else 0)
+
+
+def data_build(
+    mocap: Annotated[Path, typer.Argument(exists=True, file_okay=False, envvar="MOTIONLOOP_MOCAP")],
+    out: Annotated[Path, typer.Argument(help="folder of the corpus, replaced as a whole")],
+    seed: int = 0,
+    fps: Fps = None,
+    up: UpAxis = "auto",
+    unit: Unit = None,
+    joints: Joints = None,
+    json: JsonFile = None,
+) -> None:
+    """Build the training corpus from any folder of recordings; exit code 1 if a file cannot be read.
+
+    A folder called after a behaviour (walk, kick, ...) says what its files are, and a text file beside a recording has
+    sentences for it; what nothing is said of is labelled by its motion.
+    """
+    need("scipy")
+    from shared.data.build import build
+
+    with for_people():
+        check_output_file(json)
+        lines: list[str] = []
+        try:
+            with console.status("building ...") as status:
+                command = f"motionloop data build {mocap} {out} --seed {seed}"
+                manifest = build(
+                    mocap, out, seed, lambda stage, share: status.update(f"{stage} {share:.0%}"), command,
+                    options=read_options(fps, up, unit, joints), say=lines.append,
+                )  # fmt: skip
+        except EXPECTED as error:
+            save_json(json, {"clips": 0, "error": as_ours(error).message, "files": lines, **provenance(seed)})
+            raise
+        finally:
+            for line in lines:
+                typer.echo(line)
+        save_json(json, manifest)
+    errors = len(manifest["errors"])
+    unread = f", {errors} files could not be read" if errors else ""
+    typer.echo(f"{manifest['clips']} clips, {manifest['minutes']:.1f} min in {out} (see manifest.json){unread}")
+    raise typer.Exit(1 if errors else 0)
 
 
 def _counted(entries: list[dict[str, Any]]) -> dict[str, Any]:

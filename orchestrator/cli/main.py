@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 import typer
 from rich.table import Table
 
-from orchestrator.cli.common import Token, client, console, for_people, write_json
-from orchestrator.cli.data import data_import
+from orchestrator.cli.common import Token, client, console, for_people
+from orchestrator.cli.data import data_build, data_import
 from orchestrator.cli.delegate import PASS_THROUGH, need, run_module, say_what_is_missing
 from orchestrator.cli.talk import episode, export, say, swap, watch
 from shared.console import errors_for_people
@@ -113,21 +113,7 @@ def conformance(
 
 
 data.command("import")(data_import)
-
-
-@data.command("build")
-def data_build(
-    mocap: Annotated[Path, typer.Argument(exists=True, file_okay=False, envvar="MOTIONLOOP_MOCAP")],
-    out: Annotated[Path, typer.Argument(help="folder of the corpus, replaced as a whole")],
-    seed: int = 0,
-) -> None:
-    """Build the training corpus."""
-    from shared.data.build import build
-
-    with for_people(), console.status("building ...") as status:
-        command = f"motionloop data build {mocap} {out} --seed {seed}"
-        manifest = build(mocap, out, seed, lambda stage, share: status.update(f"{stage} {share:.0%}"), command)
-    write_json(None, manifest)
+data.command("build")(data_build)
 
 
 @train.command("planner", context_settings=PASS_THROUGH)

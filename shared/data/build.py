@@ -16,6 +16,7 @@ import numpy as np
 
 from shared.data.corpus import FORMAT, FPS, ClipInfo, write_corpus
 from shared.data.label import rotation_steps_rad
+from shared.data.own import own_pieces, own_takes
 from shared.data.pieces import Piece, Report, pieces_of, same_recording
 from shared.data.retarget import calibrate, retarget
 from shared.data.sources import Take, list_takes
@@ -23,6 +24,7 @@ from shared.data.splice import local_rotations
 from shared.data.texts import clean, swap_sides
 from shared.errors import InvalidInputError
 from shared.motion.body import Array, mirror, origin_start
+from shared.motion.io.options import ReadOptions
 from shared.motion.io.raw import RawMotion
 from shared.motion.limbs import bends_rad
 
@@ -64,6 +66,22 @@ def unpacked(folder: Path, stack: ExitStack) -> Path:
         except (tarfile.TarError, OSError) as error:
             raise InvalidInputError(f"{archive.name}: {error}", field="mocap_dir") from error
     return scratch
+
+
+def check_place(mocap_dir: Path, out_dir: Path) -> None:
+    """Make sure that a corpus may take the place of `out_dir`, which is replaced as a whole.
+
+    Raises:
+        InvalidInputError: it holds the recordings, or something that is no corpus.
+        OSError: it cannot be made.
+    """
+    source, out = mocap_dir.resolve(), out_dir.resolve()
+    if out == source or out in source.parents:
+        raise InvalidInputError(f"{out_dir}: the corpus would take the place of the recordings", field="out_dir")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if out.is_file() or (out.is_dir() and any(out.iterdir()) and not (out / "manifest.json").is_file()):
+        what = "it is a file" if out.is_file() else "it holds something that is no corpus"
+        raise InvalidInputError(f"{out_dir}: {what}; give an empty or a new folder", field="out_dir")
 
 
 def hash_inputs(folder: Path) -> str:
@@ -193,31 +211,45 @@ def build(
     progress: Progress = quiet,
     command: str = "",
     amount: float = 1.0,
+    options: ReadOptions | None = None,
+    say: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
     """Build the corpus.
 
     Args:
-        mocap_dir: folder with one folder per source, or with their .tar.xz archives.
+        mocap_dir: folder with one folder per source, or with their .tar.xz archives; or any folder of recordings, see
+            `shared.data.own`.
         out_dir: corpus folder, replaced as a whole.
         seed: of everything random in made motion; the split does not depend on it.
         progress: told what is being done.
         command: command line for the manifest.
         amount: scales how many pieces of each kind are made.
+        options: what files of no known collection do not say.
+        say: told how each of those was read, and which could not be.
 
     Returns:
-        The manifest.
+        The manifest; `errors` are the files that could not be read.
 
     Raises:
-        InvalidInputError: no recordings there.
+        InvalidInputError: no recordings there, none that can be used, or a folder `out_dir` that holds something else.
     """
     from shared.data.make import made_pieces  # the makers build on this module's helpers
 
+    check_place(Path(mocap_dir), Path(out_dir))
     report = Report()
     with ExitStack() as stack:
         folder = unpacked(Path(mocap_dir), stack)
         progress("hash", 0.0)
         digest = hash_inputs(folder)
-        pieces = recorded_pieces(list_takes(folder), report, progress)
+        takes, own = list_takes(folder), own_takes(folder, options or ReadOptions())
+        if not takes and not own:
+            raise InvalidInputError(f"no BVH, AMC or npz below {mocap_dir}", field="mocap_dir")
+        pieces = recorded_pieces(takes, report, progress) + own_pieces(own, report, progress)
+    for line in report.lines:
+        say(line)
+    if not pieces:
+        why = "; ".join(f"{row['clip']}: {row['reason']}" for row in report.left_out[:3])
+        raise InvalidInputError(f"no clip below {mocap_dir} can be used: {why}", field="mocap_dir")
     pieces = with_split(pieces, heldout_takes(pieces))
     pieces += made_pieces(pieces, np.random.default_rng(seed), report, progress, amount)
     clips: list[tuple[Piece, bool]] = [(p, False) for p in pieces]
@@ -239,6 +271,7 @@ def build(
         "quality": quality_summary(pieces),
         "heldout_takes": sorted({p.take for p in pieces if p.split == "heldout" and not p.made}),
         "left_out": report.left_out,
+        "errors": report.errors,
     }
     infos = [
         ClipInfo(p.name, p.take, p.source, p.label.behaviour, p.label.action, p.texts, p.split, p.made, m, 0, 0, w)

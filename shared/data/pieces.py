@@ -55,12 +55,20 @@ class Piece:
 
 @dataclass
 class Report:
-    """What was left out, and why."""
+    """What was left out, and why; which files could not be read; and how a person's own were read, in lines."""
 
     left_out: list[dict[str, str]] = field(default_factory=list)
+    errors: list[dict[str, str]] = field(default_factory=list)
+    lines: list[str] = field(default_factory=list)
 
     def drop(self, name: str, reason: str) -> None:
         self.left_out.append({"clip": name, "reason": reason})
+
+    def fail(self, name: str, reason: str) -> None:
+        """A file that cannot be read: left out too, and an error."""
+        self.drop(name, reason)
+        self.errors.append({"clip": name, "reason": reason})
+        self.lines.append(f"error: {name}: {reason}")
 
 
 def glitch_free(p: Array, shortest: int = 45) -> list[tuple[int, int]]:

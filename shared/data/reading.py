@@ -26,7 +26,7 @@ FPS = 30.0
 _REST_JUMP_M = 0.25
 _LEAST_FRAMES = 4
 _UNEVEN_M = 0.35
-_DEGENERATE = (ValueError, ArithmeticError, IndexError, np.linalg.LinAlgError)
+DEGENERATE = (ValueError, ArithmeticError, IndexError, np.linalg.LinAlgError)
 """What numerics raise on a skeleton that is none, such as one with all joints in one place."""
 
 
@@ -91,14 +91,18 @@ class Outcome:
         if self.loaded is None:
             return [f"warning: {self.label}: left out: {self.left_out}" if self.left_out else self.error_line()]
         x = self.loaded
-        cells = (
-            self.label, f"{x.fps:g} fps", f"{x.seconds:.2f} s", f"up {x.up.upper()}", f"unit {unit_name(x.unit_m)}",
-            f"skeleton {x.family}", f"travelled {x.travelled_m:.2f} m",
-        )  # fmt: skip
-        return ["  ".join(cells) + then, *(f"warning: {self.label}: {warning}" for warning in x.warnings)]
+        cells = row(self.label, x.fps, x.seconds, x.up, x.unit_m, x.family, x.travelled_m)
+        return [cells + then, *(f"warning: {self.label}: {warning}" for warning in x.warnings)]
 
     def error_line(self) -> str:
         return f"error: {self.label}: {self.error}"
+
+
+def row(label: str, fps: float, seconds: float, up: str, unit_m: float, family: str, way_m: float) -> str:
+    """How a file was read, in a line."""
+    cells = (label, f"{fps:g} fps", f"{seconds:.2f} s", f"up {up.upper()}", f"unit {unit_name(unit_m)}",
+             f"skeleton {family}", f"travelled {way_m:.2f} m")  # fmt: skip
+    return "  ".join(cells)
 
 
 def travelled_m(positions: Array) -> float:
@@ -142,7 +146,7 @@ def read_all(files: Sequence[Path], root: Path, options: ReadOptions | None = No
             yield Outcome(file, label, left_out=_without_name(error, file))
         except EXPECTED as error:
             yield Outcome(file, label, error=_without_name(as_ours(error), file))
-        except _DEGENERATE as error:
+        except DEGENERATE as error:
             yield Outcome(file, label, error=f"no person can be made of it ({error})")
 
 

@@ -8,9 +8,10 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from shared.errors import InvalidInputError
 from shared.motion.io.asfamc import read_asf_amc
 from shared.motion.io.bvh import read_bvh
+from shared.motion.io.files import read_motion
+from shared.motion.io.options import ReadOptions
 from shared.motion.io.raw import RawMotion
 from shared.motion.io.smpl import read_smpl_npz
 
@@ -30,6 +31,7 @@ class Take:
         action: key into texts.SENTENCES; `auto` where the kinematics decide; side: left, right or ''.
         texts: sentences known for this very take.
         skip: why it is left out, or ''.
+        options: how to read it, for takes of no known collection; by_motion: nothing says what it is.
     """
 
     name: str
@@ -42,9 +44,13 @@ class Take:
     side: str = ""
     texts: tuple[str, ...] = ()
     skip: str = ""
+    options: ReadOptions | None = None
+    by_motion: bool = False
 
     def read(self) -> RawMotion:
         """The motion as recorded."""
+        if self.options is not None:
+            return read_motion(self.path, self.options)
         if self.asf is not None:
             return read_asf_amc(self.asf, self.path, FPS, up="y")
         if self.path.suffix == ".npz":
@@ -170,16 +176,23 @@ def _cmu_texts(folder: Path) -> tuple[dict[str, str], dict[str, list[str]]]:
     return index, sentences
 
 
-def list_takes(folder: Path) -> list[Take]:
-    """All takes below an unpacked mocap folder, in a stable order.
+_BY_TRIAL = ("cmu_subjects", "cmu_asfamc", "cmu_daily")
 
-    Raises:
-        InvalidInputError: no motion file below it.
-    """
+
+def is_known(folder: Path, path: Path) -> bool:
+    """Whether a file is of a collection described here."""
+    source = path.relative_to(folder).parts[0]
+    if path.suffix == ".amc" and source not in ("hdm05", "cmu_asfamc"):
+        return False
+    return source in _RULES or (source in _BY_TRIAL and re.fullmatch(r"\d+_\d+", path.stem) is not None)
+
+
+def list_takes(folder: Path) -> list[Take]:
+    """All takes of the known collections below an unpacked mocap folder, in a stable order."""
     index, kit = _cmu_texts(folder / "text")
     takes = []
     for path in sorted(folder.rglob("*")):
-        if path.suffix not in (".bvh", ".amc", ".npz"):
+        if path.suffix not in (".bvh", ".amc", ".npz") or not is_known(folder, path):
             continue
         source = path.relative_to(folder).parts[0]
         stem = path.stem
@@ -193,7 +206,7 @@ def list_takes(folder: Path) -> list[Take]:
             asf = path.parent / f"{prefix}.asf"
             key = f"{source}/{prefix}"
         texts: list[str] = []
-        if source in ("cmu_subjects", "cmu_asfamc", "cmu_daily"):
+        if source in _BY_TRIAL:
             subject, trial = stem.split("_")
             trial_id = f"{int(subject):02d}_{trial}"
             behaviour, action, side = _match(_CMU_RULES, index.get(trial_id, ""))
@@ -211,6 +224,4 @@ def list_takes(folder: Path) -> list[Take]:
         if source == "cmu_subjects" and stem.startswith("001"):
             skip = "needs a playground that is not there"
         takes.append(Take(f"{source}/{stem}", source, path, asf, key, behaviour, action, side, tuple(texts), skip))
-    if not takes:
-        raise InvalidInputError(f"no BVH, AMC or npz below {folder}", field="mocap_dir")
     return takes

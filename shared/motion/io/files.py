@@ -24,8 +24,14 @@ def motion_files(path: Path, but_not: Path | None = None) -> list[Path]:
     Raises:
         InvalidInputError: there are none.
     """
-    if path.is_file():
-        return [path]
+    found = [path] if path.is_file() else find_motion_files(path, but_not)
+    if not found:
+        raise InvalidInputError(f"no motion files at {path}", field="path", allowed=", ".join(SUFFIXES))
+    return found
+
+
+def find_motion_files(path: Path, but_not: Path | None = None) -> list[Path]:
+    """Motion files below a folder as of `motion_files`, none where there are none."""
     found = [
         p
         for p in sorted(path.rglob("*"))
@@ -39,10 +45,7 @@ def motion_files(path: Path, but_not: Path | None = None) -> list[Path]:
     own = {p for p in found if p.suffix == ".npz" and is_own_clip(p)}
     # An imported clip lies there twice, as npz and as BVH: one is enough.
     found = [p for p in found if not (p in own and p.with_suffix(".bvh") in found)]
-    found = [p for p in found if not (p.with_suffix(".npz") in own and p.resolve().parent == apart)]
-    if not found:
-        raise InvalidInputError(f"no motion files at {path}", field="path", allowed=", ".join(SUFFIXES))
-    return found
+    return [p for p in found if not (p.with_suffix(".npz") in own and p.resolve().parent == apart)]
 
 
 def find_skeleton(amc: Path) -> Path:
