@@ -1,0 +1,1 @@
+"""Words of people: what a sentence asks for."""
