@@ -35,6 +35,7 @@ from shared.motion.features import (
 from shared.motion.rotations import wrap_angle
 from shared.motion.skeleton import CANONICAL
 from shared.plugins.interfaces import PlannerSpec
+from shared.processor import bf16_pays
 from shared.protocol.messages import PLANNER_FPS, TICK_HZ, Plan, PlanRequest
 
 Array = npt.NDArray[np.float64]
@@ -88,7 +89,7 @@ class DipPlanner:
         self._texts = CachedTextEncoder(encoder)
         self._settings = settings or DipSettings()
         wanted = self._settings.bf16
-        self._bf16 = torch.cpu._is_avx512_bf16_supported() if wanted is None else wanted
+        self._bf16 = bf16_pays() if wanted is None else wanted
         self._network = with_bf16_blocks(weights.network) if self._bf16 else weights.network
         self._schedule = cosine_schedule(self._config.steps)
         self._weights_id = weights.sha256[:12]

@@ -32,6 +32,7 @@ from planner_service.training.trainer import Trainer, TrainSettings, checkpoint_
 from shared.console import errors_for_people
 from shared.data.corpus import Corpus
 from shared.errors import InvalidInputError
+from shared.processor import bf16_pays
 
 
 def train(
@@ -43,7 +44,7 @@ def train(
     learning_rate: Annotated[float, typer.Option(help="of AdamW")] = 4e-4,
     decay_until: Annotated[int | None, typer.Option(help="step by which the rate has fallen to a twentieth")] = None,
     threads: Annotated[int, typer.Option(help="CPU threads", min=1)] = 1,
-    bf16: Annotated[bool, typer.Option(help="bfloat16 autocast")] = True,
+    bf16: Annotated[bool | None, typer.Option(help="bfloat16 autocast; default: where the processor has it")] = None,
     seed: Annotated[int, typer.Option(help="of windows, noise and dropout", min=0)] = 0,
     save_every: Annotated[int, typer.Option(help="steps between checkpoints", min=1)] = 250,
     emphasis: Annotated[str, typer.Option(help="draw these more often, e.g. wave=2,action:walk=1.5")] = "",
@@ -72,7 +73,7 @@ def train(
         batch=batch,
         learning_rate=learning_rate,
         decay_until=decay_until,
-        bf16=bf16,
+        bf16=bf16_pays() if bf16 is None else bf16,
         seed=seed,
         save_every=save_every,
     )

@@ -23,6 +23,7 @@ from planner_service.dip.features_torch import Normalizer
 from planner_service.dip.network import DipNetwork
 from planner_service.training.dataset import TextBank, WindowSampler
 from planner_service.training.losses import LossWeights, dip_loss, feature_weights, sample_targets
+from shared.processor import bf16_pays
 
 
 class TrainSettings(BaseModel):
@@ -31,7 +32,7 @@ class TrainSettings(BaseModel):
     Attributes:
         decay_until: step at which the learning rate has fallen, in a straight line, to a twentieth; None: it stays.
         text_dropout: share of windows that lose their text, for guidance.
-        bf16: run the network under bfloat16 autocast; losses stay in float32.
+        bf16: run the network under bfloat16 autocast (by default where the processor has it); losses stay in float32.
         ema_decay: the average's decay is min(ema_decay, (1 + n) / (10 + n)) at step n.
     """
 
@@ -44,7 +45,7 @@ class TrainSettings(BaseModel):
     clip_norm: float = Field(1.0, gt=0)
     text_dropout: float = Field(0.1, ge=0, le=1)
     ema_decay: float = Field(0.9999, gt=0, lt=1)
-    bf16: bool = True
+    bf16: bool = Field(default_factory=bf16_pays)
     seed: int = 0
     log_every: int = Field(20, gt=0)
     save_every: int = Field(250, gt=0)

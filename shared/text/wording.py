@@ -16,11 +16,16 @@ STAND_TEXT = "a person is standing still."
 _BARE = r"(?:a |the |this |that )?(?:person|man|woman|human|figure|character|boy|girl|guy)|someone|somebody|he|she|it|they|you"
 _SUBJECT = re.compile(rf"^(?:please\s+)?(?P<subject>{_BARE})\b", re.IGNORECASE)
 _STEP = re.compile(
-    r"\s*[,;.]?\s*(?:\band\s+)?\b(?:then|afterwards?|after that|followed by|and finally|finally)\b\s*,?\s*", re.IGNORECASE
+    r"\s*[,;.]?\s*(?:\band\s+)?\b(?:then|afterwards?|after that|followed by|and finally|finally)\b\s*,?\s*",
+    re.IGNORECASE,
 )
-_NO_STEP = re.compile(r"^\s*(?:to|for|in|on|at|with|into|towards?|again|back|forth|forwards?|left|right|up|down)\b", re.IGNORECASE)
+_NO_STEP = re.compile(
+    r"^\s*(?:to|for|in|on|at|with|into|towards?|again|back|forth|forwards?|left|right|up|down)\b", re.IGNORECASE
+)
 _FIRST = re.compile(r"^\s*(?:at\s+)?first\b\s*,?\s*", re.IGNORECASE)
-_CLAUSE = re.compile(r"(\s*[,;:.!]\s*(?:and\s+|but\s+)?|\s+(?:but|yet|however|although|though|while)\s+)", re.IGNORECASE)
+_CLAUSE = re.compile(
+    r"(\s*[,;:.!]\s*(?:and\s+|but\s+)?|\s+(?:but|yet|however|although|though|while)\s+)", re.IGNORECASE
+)
 _AUX = r"do|does|did|is|are|am|was|were|has|have|had|will|would|shall|should|can|could|must|may|might|need"
 _NOT = re.compile(
     rf"\b(?:(?P<aux>{_AUX})\s+not|(?P<short>{_AUX}|ca|wo)n['’]?t|(?P<fused>dont|doesnt|didnt|isnt|arent|wasnt|wont|cant)"
@@ -42,9 +47,7 @@ _THIRD_PERSON = re.compile(r"\s+and\s+(?=\w+[^s\W]s\b)", re.IGNORECASE)
 _OF_ONE = re.compile(r"does|avoids|refuses|refrains", re.IGNORECASE)
 _LEADING = re.compile(r"^(?:(?:please|just|only|instead|rather|simply|but|and|so|also)\b\s*,?\s*)+", re.IGNORECASE)
 _TRAILING = re.compile(r"[\s,]*(?:\b(?:instead|rather|with|and|but|while|or|to|by|at all)\b[\s,]*)+$", re.IGNORECASE)
-_EMPTY = re.compile(
-    rf"^(?:{_BARE}|{_AUX}|be|being|doing|just|please|who|that|which|both|\s|[,.;:!])*$", re.IGNORECASE
-)
+_EMPTY = re.compile(rf"^(?:{_BARE}|{_AUX}|be|being|doing|just|please|who|that|which|both|\s|[,.;:!])*$", re.IGNORECASE)
 _HEAD_PHRASE = re.compile(
     rf"^\s*(?:without|instead\s+of|rather\s+than|never|not)\s+(?P<what>\w+ing\b.*?)\s+(?P<rest>(?:{_BARE})\s+.+)$",
     re.IGNORECASE,
