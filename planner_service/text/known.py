@@ -1,7 +1,7 @@
 """The sentences that the shipped weights were trained on, and which of them is nearest to a text.
 
-Distance is by embedding and not by vocabulary: "somebody dashes" is near to "someone runs" although they share no word. Each
-sentence is kept as the mean over its tokens' features (the pooled token of `text.encoder`), made by
+Distance is by embedding and not by vocabulary: "somebody dashes" is near to "someone runs" although they share no word.
+Each sentence is kept as the mean over its tokens' features (the pooled token of `text.encoder`), made by
 `python -m planner_service.training.sentences`.
 """
 

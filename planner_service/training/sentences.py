@@ -1,6 +1,6 @@
 """Embed a corpus' sentences: `python -m planner_service.training.sentences --corpus DIR [--out FILE]`.
 
-Run with the corpus that the shipped weights were trained on; the file tells which texts they have never seen the like of.
+Run with the corpus that the shipped weights were trained on: the file says which texts they have seen the like of.
 """
 
 from __future__ import annotations

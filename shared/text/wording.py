@@ -1,8 +1,8 @@
 """What a sentence asks for: its steps in order, without what it says not to do.
 
-Motion models are trained on sentences that say what is done. "Don't walk" is nearer to "walk" than to anything else they
-know, so a character told so walks. Here a negated clause is dropped before a planner sees it, and standing is what is
-left of a sentence that says nothing else. "Walk, then wave" is two things, one after the other. Pure functions on
+Motion models are trained on sentences that say what is done. "Don't walk" is nearer to "walk" than to anything else
+they know, so a character told so walks. Here a negated clause is dropped before a planner sees it, and standing is what
+is left of a sentence that says nothing else. "Walk, then wave" is two things, one after the other. Pure functions on
 English words; a sentence without negation and without "then" passes through as it is.
 """
 
@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 STAND_TEXT = "a person is standing still."
 
-_BARE = r"(?:a |the |this |that )?(?:person|man|woman|human|figure|character|boy|girl|guy)|someone|somebody|he|she|it|they|you"
+_NOUN = r"(?:a |the |this |that )?(?:person|man|woman|human|figure|character|boy|girl|guy)"
+_BARE = rf"{_NOUN}|someone|somebody|he|she|it|they|you"
 _SUBJECT = re.compile(rf"^(?:please\s+)?(?P<subject>{_BARE})\b", re.IGNORECASE)
 _STEP = re.compile(
     r"\s*[,;.]?\s*(?:\band\s+)?\b(?:then|afterwards?|after that|followed by|and finally|finally)\b\s*,?\s*",
