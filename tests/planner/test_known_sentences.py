@@ -14,8 +14,8 @@ from planner_service.text.known import KnownSentences
 from planner_service.text.pretrained import minilm
 
 NEAR = """walk forward | a person is walking. | somebody jogs | sprint | make a left turn | leap into the air
-stand idle | a guy is waving his left arm | person running fast | someone dashes ahead | stroll along | say hi with your hand
-hop on the spot | turn around and walk back | someone strolls ahead at an easy pace."""
+stand idle | a guy is waving his left arm | person running fast | someone dashes ahead | stroll along
+say hi with your hand | hop on the spot | turn around and walk back | someone strolls ahead at an easy pace."""
 FAR = """bake a cake | quantum chromodynamics | write python code | the stock market fell | asdf qwer | cook dinner
 knit a sweater | swim across the lake | drive a car | read a book | paint the wall | the cat sat on the mat"""
 
