@@ -8,12 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.plugins.interfaces import TrackerObservation, TrackerSpec
-from shared.protocol.messages import SERVO_TARGETS
+from shared.protocol.messages import SERVO_TARGETS, TICK_HZ
 from tracker_service.policy.observations import feedforward_targets
 
 Array = npt.NDArray[np.floating]
 
-TICK_HZ = 30.0
 VERSION = "1"
 
 

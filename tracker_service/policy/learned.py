@@ -17,13 +17,12 @@ from safetensors.numpy import load
 from shared.errors import InvalidInputError
 from shared.motion.rotations import matrix_from_quat
 from shared.plugins.interfaces import TrackerObservation, TrackerSpec
-from shared.protocol.messages import SERVO_TARGETS
+from shared.protocol.messages import SERVO_TARGETS, TICK_HZ
 from tracker_service.policy.observations import PREVIEW_TICKS, PolicyInput, feedforward_targets, observe
 
 F32 = npt.NDArray[np.float32]
 Array = npt.NDArray[np.floating]
 
-TICK_HZ = 30.0
 WEIGHTS = Path(__file__).parent.parent / "weights" / "ppo.safetensors"
 
 

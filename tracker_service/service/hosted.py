@@ -156,14 +156,14 @@ class HostedCharacter:
                 return TrackReply(accepted=False, tick=now, reason=reason)
             simulation, reference = self._simulation, self._simulation.reference
         # Inverse kinematics takes as long as several ticks, which must not wait for it.
-        prepared = simulation.prepared_reference(message.start_tick, message.positions_w_m)
+        prepared = simulation.prepared_reference(message.start_tick, message.positions_w_m, message.fps)
         with self._lock:
             self._check_open()
             now = self.tick
             if self._simulation is not simulation or simulation.reference is not reference:
                 # Reset, restored or given another plan in between: this plan comes on top of that.
                 self._check_actions(message)
-                prepared = self._simulation.prepared_reference(message.start_tick, message.positions_w_m)
+                prepared = self._simulation.prepared_reference(message.start_tick, message.positions_w_m, message.fps)
             self._simulation.reference = prepared
             if len(message.actions):
                 self._simulation.set_actions(message.start_tick, message.actions)

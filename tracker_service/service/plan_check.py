@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from shared.errors import InvalidInputError
 from shared.motion.skeleton import Skeleton
-from shared.protocol.messages import PLANNER_FPS, Track
+from shared.protocol.messages import TICK_HZ, Track
 from tracker_service.service.settings import TrackerServiceSettings
 
 FloatArray = npt.NDArray[np.floating]
@@ -27,7 +27,7 @@ def check_plan(track: Track, skeleton: Skeleton, root_w_m: FloatArray, limits: T
     positions = np.asarray(track.positions_w_m, dtype=np.float64)
     if len(positions) == 0:
         raise InvalidInputError("the plan has no frames", field="positions_w_m", allowed="1 to 4096 frames")
-    time_s = (np.arange(len(positions)) + 1) / PLANNER_FPS
+    time_s = (np.arange(len(positions)) + 1) / track.fps
     allowed_m = limits.reach_m + limits.plan_speed_mps * time_s
     distance_m = np.linalg.norm(positions - root_w_m, axis=-1).max(axis=-1)
     if (distance_m > allowed_m).any():
@@ -38,7 +38,7 @@ def check_plan(track: Track, skeleton: Skeleton, root_w_m: FloatArray, limits: T
             allowed=f"within {allowed_m[frame]:.1f} m of the character at that frame",
         )
     if len(positions) > 1:
-        speed_mps = np.linalg.norm(np.diff(positions, axis=0), axis=-1) * PLANNER_FPS
+        speed_mps = np.linalg.norm(np.diff(positions, axis=0), axis=-1) * track.fps
         if speed_mps.max() > limits.joint_speed_mps:
             frame, joint = (int(i) for i in np.unravel_index(np.argmax(speed_mps), speed_mps.shape))
             raise InvalidInputError(
@@ -53,7 +53,7 @@ def late_reason(track: Track, tick: int, limits: TrackerServiceSettings) -> str 
     late = tick - track.start_tick
     if late >= limits.late_ticks:
         return f"{late} ticks late, {limits.late_ticks} or more are too many"
-    last_tick = track.start_tick + len(track.positions_w_m) * 30 / PLANNER_FPS
+    last_tick = track.start_tick + len(track.positions_w_m) * TICK_HZ / track.fps
     if last_tick <= tick:
         return f"the plan ends at tick {last_tick:g}, and it is tick {tick} now"
     return None

@@ -15,9 +15,10 @@ import numpy.typing as npt
 
 from shared.errors import InvalidInputError, SimulationError
 from shared.plugins.interfaces import Tracker, TrackerObservation
+from shared.protocol.rates import PLANNER_FPS, TICK_HZ
 from tracker_service.simulation.fallen import FallDetector, floor_touch
 from tracker_service.simulation.humanoid import FEET, PHYSICS_HZ
-from tracker_service.simulation.reference import TICK_HZ, ReferenceBuffer
+from tracker_service.simulation.reference import ReferenceBuffer
 from tracker_service.simulation.scene import SceneModel
 
 Array = npt.NDArray[np.float64]
@@ -80,14 +81,16 @@ class SimulatedCharacter:
         self.tracker = tracker
         tracker.reset([self.character_id])
 
-    def set_reference(self, start_tick: int, positions_w_m: npt.NDArray[np.floating]) -> None:
-        """Put a plan (T, 22, 3) at 20 fps in: frame i is at start_tick / 30 + (i + 1) / 20 s.
+    def set_reference(self, start_tick: int, positions_w_m: npt.NDArray[np.floating], fps: int = PLANNER_FPS) -> None:
+        """Put a plan (T, 22, 3) in: frame i is at start_tick / 30 + (i + 1) / fps s.
 
         Rotations are not taken: they come from the positions by the same inverse kinematics everywhere (DESIGN 2).
         """
-        self.reference = self.prepared_reference(start_tick, positions_w_m)
+        self.reference = self.prepared_reference(start_tick, positions_w_m, fps)
 
-    def prepared_reference(self, start_tick: int, positions_w_m: npt.NDArray[np.floating]) -> ReferenceBuffer:
+    def prepared_reference(
+        self, start_tick: int, positions_w_m: npt.NDArray[np.floating], fps: int = PLANNER_FPS
+    ) -> ReferenceBuffer:
         """The reference as `set_reference` would make it, the present one untouched, so that ticks can go on meanwhile.
 
         Every change of the reference puts another buffer in place of the old one.
@@ -101,7 +104,7 @@ class SimulatedCharacter:
         if not np.isfinite(positions).all():
             raise InvalidInputError("the plan is not finite", field="positions_w_m", allowed="finite numbers")
         reference = self.reference.copy()
-        reference.insert(start_tick, positions, self.tick)
+        reference.insert(start_tick, positions, self.tick, fps)
         return reference
 
     def set_actions(self, start_tick: int, targets_rad: npt.NDArray[np.floating]) -> None:

@@ -1,9 +1,9 @@
-"""The motion a character is asked to follow: plans on absolute 20 fps frames, read as 30 Hz ticks.
+"""The motion a character is asked to follow: plans on absolute frames at their own rate, read as 30 Hz ticks.
 
-Frame f lies at f / 20 s, tick t at t / 30 s. A plan that starts at tick S (divisible by 3) fills the frames after
-2 S / 3. Ticks come from frames by index-aligned resampling, then inverse kinematics and hinge angles; positions are
-made anew from those by forward kinematics, so that the reference is a pose the character can take. After its last
-frame a plan goes on into a balanced stand.
+Frame f lies at f / fps s, tick t at t / 30 s; a plan starts at a tick that is a frame (`shared.protocol.rates`) and
+fills the frames after it. Ticks come from frames by index-aligned resampling, then inverse kinematics and hinge angles;
+positions are made anew from those by forward kinematics, so that the reference is a pose the character can take. After
+its last frame a plan goes on into a balanced stand.
 """
 
 from __future__ import annotations
@@ -18,24 +18,23 @@ import numpy.typing as npt
 from shared.errors import InvalidInputError
 from shared.motion.ik import rotations_from_positions, standing_pose
 from shared.motion.kinematics import forward_kinematics
-from shared.motion.resampling import resample
+from shared.motion.resampling import resample, sample_at
 from shared.motion.rotations import (
     heading_of,
     matrix_from_rotvec,
     quat_from_matrix,
     rotvec_from_matrix,
 )
+from shared.protocol.rates import PLANNER_FPS, TICK_HZ, frame_of_tick, last_frame_by, start_spacing
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.simulation.kinematics import BodyKinematics, qpos_from_motion
 
 Array = npt.NDArray[np.float64]
 
-PLANNER_FPS, TICK_HZ = 20, 30
 HISTORY_FRAMES = 12
-"""Frames before a change that enter its resampling; even, so that the window begins on a tick."""
-STAND_FRAMES = 10
-"""A finished plan turns into a stand over half a second."""
-SETTLED_FRAMES = 10
+"""Frames before a change that enter its resampling, at least."""
+STAND_S = 0.5
+"""A finished plan turns into a stand over half a second, and stays for another."""
 MAX_AHEAD_TICKS = 600
 STAND_UP_HEIGHT_M = 0.7
 """A plan that ends with the pelvis lower than this (sitting, lying) is held, not turned into a stand."""
@@ -95,19 +94,31 @@ class ReferenceBuffer:
     """What is to be followed, from a little before now until the end of the last plan, which it holds for ever."""
 
     def __init__(self, human: Humanoid, tick: int, xy_w_m: tuple[float, float], heading_rad: float):
-        """Start with standing at a place; `tick` is divisible by 3."""
+        """Start with standing at a place, at the rate of the built-in planners; `tick` is a frame there."""
         self._human = human
         self._kinematics = BodyKinematics(human)
         local = standing_pose(human.skeleton, heading_rad)[None]
         root = np.array([[*xy_w_m, human.skeleton.root_height_m]])
         pose, _ = forward_kinematics(human.skeleton, root, local)
-        frame = 2 * tick // 3
-        count = HISTORY_FRAMES + SETTLED_FRAMES
-        self._first_frame = frame - HISTORY_FRAMES
-        self._frames = np.repeat(pose, count, axis=0)
+        self._fps: int = PLANNER_FPS
+        self._first_frame = frame_of_tick(tick, self._fps) - HISTORY_FRAMES
+        self._frames = np.repeat(pose, HISTORY_FRAMES + self._stand_frames, axis=0)
         self.plan_end_tick = tick
-        self._first_tick = 3 * self._first_frame // 2
-        self._ticks = reference_ticks(human, self._kinematics, resample(self._frames, PLANNER_FPS, TICK_HZ))
+        self._first_tick = self._tick_of(self._first_frame)
+        self._ticks = reference_ticks(human, self._kinematics, resample(self._frames, self._fps, TICK_HZ))
+
+    @property
+    def _stand_frames(self) -> int:
+        return max(2, round(STAND_S * self._fps))
+
+    def _tick_of(self, frame: int) -> int:
+        """Tick of a frame that is one."""
+        return frame * TICK_HZ // self._fps
+
+    def _tick_frame_by(self, frame: int) -> int:
+        """Last frame at or before `frame` that is a tick."""
+        spacing = start_spacing(self._fps) * self._fps // TICK_HZ
+        return frame // spacing * spacing
 
     @property
     def last_tick(self) -> int:
@@ -123,19 +134,21 @@ class ReferenceBuffer:
         """An independent buffer; the arrays are shared, since no method changes one in place."""
         return copy(self)
 
-    def insert(self, start_tick: int, positions_w_m: npt.NDArray[np.floating], now_tick: int) -> None:
-        """Put a plan in: its frame i at (start_tick / 30 + (i + 1) / 20) s. Ticks up to `now_tick` stay as they were.
+    def insert(
+        self, start_tick: int, positions_w_m: npt.NDArray[np.floating], now_tick: int, fps: int = PLANNER_FPS
+    ) -> None:
+        """Put a plan in: its frame i at (start_tick / 30 + (i + 1) / fps) s. Ticks up to `now_tick` stay as they were.
 
         Raises:
-            InvalidInputError: start tick not divisible by 3, or too far back or ahead of what is held.
+            InvalidInputError: start tick between two frames, or too far back or ahead of what is held.
         """
-        if start_tick % 3:
-            raise InvalidInputError(f"start_tick is {start_tick}", field="start_tick", allowed="multiples of 3")
-        frame = 2 * start_tick // 3
-        if frame < self._first_frame:
+        frame = frame_of_tick(start_tick, fps)
+        if start_tick < self._first_tick:
             raise InvalidInputError(
-                f"start_tick {start_tick} is past", field="start_tick", allowed=f">= {3 * self._first_frame // 2}"
+                f"start_tick {start_tick} is past", field="start_tick", allowed=f">= {self._first_tick}"
             )
+        if fps != self._fps:
+            self._change_rate(fps)
         kept = self._frames[: frame + 1 - self._first_frame]
         missing = frame + 1 - self._first_frame - len(kept)
         # Counted from now and not from the last plan: after a long time without one the next is still welcome.
@@ -150,15 +163,16 @@ class ReferenceBuffer:
         plan = np.asarray(positions_w_m, dtype=np.float64)
         tail = self._stand_after(np.concatenate([kept[-1:], plan])[-2:])
         self._frames = np.concatenate([kept, plan, tail])
-        self.plan_end_tick = int((frame + len(plan)) * TICK_HZ / PLANNER_FPS)
+        self.plan_end_tick = (frame + len(plan)) * TICK_HZ // fps
         self._recompute(max(start_tick, now_tick), frame)
         self._trim(now_tick)
 
     def _recompute(self, keep_through_tick: int, frame: int) -> None:
-        begin = max(self._first_frame, (min(frame, 2 * keep_through_tick // 3) - HISTORY_FRAMES) // 2 * 2)
-        begin_tick = 3 * begin // 2
+        changed = min(frame, last_frame_by(keep_through_tick, self._fps))
+        begin = max(self._first_frame, self._tick_frame_by(changed - HISTORY_FRAMES))
+        begin_tick = self._tick_of(begin)
         at_begin = self.at(begin_tick).hinges_rad[0]
-        window = resample(self._frames[begin - self._first_frame :], PLANNER_FPS, TICK_HZ)
+        window = resample(self._frames[begin - self._first_frame :], self._fps, TICK_HZ)
         fresh = reference_ticks(self._human, self._kinematics, window, at_begin)
         keep = keep_through_tick + 1 - self._first_tick
         old = self.at(self._first_tick, keep)
@@ -170,32 +184,47 @@ class ReferenceBuffer:
             pos, velocity, np.concatenate([old.quat_w, new.quat_w]), np.concatenate([old.qpos, new.qpos])
         )
 
+    def _change_rate(self, fps: int) -> None:
+        """Go on at another planner's rate: the frames at hand are resampled, the ticks stay as they are."""
+        old_fps, old_first = self._fps, self._first_frame
+        self._fps = fps
+        first_tick = self._first_tick // start_spacing(fps) * start_spacing(fps)
+        first = frame_of_tick(first_tick, fps)
+        last = (old_first + len(self._frames) - 1) * fps // old_fps
+        # The new grid may begin a little before what is held: the first pose is held there.
+        old = np.arange(first, last + 1) * (old_fps / fps) - old_first
+        self._frames = sample_at(self._frames, np.clip(old, 0, len(self._frames) - 1))
+        missing = self._first_tick - first_tick
+        self._ticks = self._ticks.rows(np.maximum(np.arange(-missing, len(self._ticks.qpos)), 0))
+        self._first_frame, self._first_tick = first, first_tick
+
     def _trim(self, now_tick: int) -> None:
-        begin = (2 * now_tick // 3 - 4 * HISTORY_FRAMES) // 2 * 2
+        begin = self._tick_frame_by(last_frame_by(now_tick, self._fps) - 4 * HISTORY_FRAMES)
         if begin <= self._first_frame:
             return
         self._frames = self._frames[begin - self._first_frame :]
-        drop = 3 * begin // 2 - self._first_tick
+        drop = self._tick_of(begin) - self._first_tick
         self._ticks = self._ticks.rows(np.arange(drop, len(self._ticks.qpos)))
-        self._first_frame, self._first_tick = begin, 3 * begin // 2
+        self._first_frame, self._first_tick = begin, self._tick_of(begin)
 
     def _stand_after(self, last_two: Array) -> Array:
         """Frames that lead from the end of a plan (2, J, 3) into a stand at the same place and heading, and stay."""
         skeleton = self._human.skeleton
         end = last_two[-1]
+        frames = self._stand_frames
         if end[0, 2] < STAND_UP_HEIGHT_M * skeleton.height_m / 1.75:
-            return np.repeat(end[None], STAND_FRAMES + SETTLED_FRAMES, axis=0)
+            return np.repeat(end[None], 2 * frames, axis=0)
         local = rotations_from_positions(end[None], skeleton)[0]
         stand = standing_pose(skeleton, float(heading_of(local[0][:, 0])))
-        coast = (last_two[1, 0] - last_two[0, 0])[:2] * PLANNER_FPS
+        coast = (last_two[1, 0] - last_two[0, 0])[:2] * self._fps
         speed = float(np.linalg.norm(coast))
         coast *= min(1.0, MAX_COAST_MPS / max(speed, 1e-9))
-        s = np.minimum(np.arange(1, STAND_FRAMES + SETTLED_FRAMES + 1) / STAND_FRAMES, 1.0)
+        s = np.minimum(np.arange(1, 2 * frames + 1) / frames, 1.0)
         blend = s * s * (3 - 2 * s)
         way = rotvec_from_matrix(local.swapaxes(-1, -2) @ stand)
         poses = local @ matrix_from_rotvec(blend[:, None, None] * way)
         root = np.repeat(end[None, 0], len(s), axis=0)
-        root[:, :2] += (s - s * s / 2)[:, None] * coast * (STAND_FRAMES / PLANNER_FPS)
+        root[:, :2] += (s - s * s / 2)[:, None] * coast * (frames / self._fps)
         root[:, 2] += blend * (skeleton.root_height_m - end[0, 2])
         return np.asarray(forward_kinematics(skeleton, root, poses)[0])
 
@@ -208,7 +237,7 @@ class ReferenceBuffer:
             "vel": ticks.linvel_w_mps,
             "quat": ticks.quat_w,
             "qpos": ticks.qpos,
-            "marks": np.array([self._first_frame, self._first_tick, self.plan_end_tick], dtype=np.int64),
+            "marks": np.array([self._first_frame, self._first_tick, self.plan_end_tick, self._fps], dtype=np.int64),
         }
 
     def from_arrays(self, arrays: Mapping[str, npt.NDArray[np.generic]]) -> None:
@@ -216,4 +245,4 @@ class ReferenceBuffer:
         self._frames = np.asarray(arrays["frames"], dtype=np.float64)
         pos, vel, quat, qpos = (np.asarray(arrays[k], dtype=np.float64) for k in ("pos", "vel", "quat", "qpos"))
         self._ticks = ReferenceTicks(pos, vel, quat, qpos)
-        self._first_frame, self._first_tick, self.plan_end_tick = (int(v) for v in arrays["marks"])
+        self._first_frame, self._first_tick, self.plan_end_tick, self._fps = (int(v) for v in arrays["marks"])

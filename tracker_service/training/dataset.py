@@ -12,9 +12,10 @@ import numpy.typing as npt
 
 from shared.data.corpus import ClipInfo
 from shared.errors import InvalidInputError
+from shared.protocol.rates import TICK_HZ
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.simulation.kinematics import BodyKinematics, qvel_from_qpos
-from tracker_service.simulation.reference import TICK_HZ, central_velocity, reference_ticks
+from tracker_service.simulation.reference import central_velocity, reference_ticks
 from tracker_service.training.seats import NO_SEAT
 
 F32 = npt.NDArray[np.float32]

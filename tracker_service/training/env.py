@@ -15,6 +15,7 @@ import numpy.typing as npt
 from mujoco import rollout
 from pydantic import BaseModel, ConfigDict, Field
 
+from shared.protocol.rates import TICK_HZ
 from tracker_service.policy.observations import (
     PREVIEW_TICKS,
     PolicyInput,
@@ -24,7 +25,6 @@ from tracker_service.policy.observations import (
 )
 from tracker_service.simulation.humanoid import PHYSICS_HZ, Humanoid
 from tracker_service.simulation.kinematics import BodyKinematics, BodyStates
-from tracker_service.simulation.reference import TICK_HZ
 from tracker_service.training import rewards
 from tracker_service.training.dataset import ReferenceSet
 from tracker_service.training.sampling import FailureTable

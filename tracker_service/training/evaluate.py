@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.errors import InvalidInputError
-from tracker_service.simulation.reference import TICK_HZ
+from shared.protocol.rates import TICK_HZ
 from tracker_service.training.dataset import ReferenceSet
 from tracker_service.training.env import EnvSettings, TrackingEnv
 

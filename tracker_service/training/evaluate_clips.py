@@ -24,10 +24,10 @@ from shared.errors import InvalidInputError
 from shared.motion.io.files import motion_files
 from shared.motion.io.options import ReadOptions, read_joint_map
 from shared.motion.resampling import resample
+from shared.protocol.rates import TICK_HZ
 from tracker_service.policy.learned import WEIGHTS, LearnedTracker
 from tracker_service.simulation.character_spec import HUMAN
 from tracker_service.simulation.humanoid import humanoid
-from tracker_service.simulation.reference import TICK_HZ
 from tracker_service.training.dataset import MotionInput, prepare, seat_in
 from tracker_service.training.env import EnvSettings
 from tracker_service.training.evaluate import evaluate

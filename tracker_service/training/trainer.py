@@ -14,8 +14,8 @@ import numpy.typing as npt
 import torch
 from torch.utils.tensorboard import SummaryWriter
 
+from shared.protocol.rates import TICK_HZ
 from tracker_service.simulation.humanoid import Humanoid
-from tracker_service.simulation.reference import TICK_HZ
 from tracker_service.training.dataset import ReferenceSet
 from tracker_service.training.env import EnvSettings, TrackingEnv
 from tracker_service.training.evaluate import evaluate
