@@ -10,10 +10,9 @@ from typing import Protocol
 
 from orchestrator.core.loop import CharacterLoop, GoalSource, PlanTiming, view_of
 from orchestrator.core.pacing import PlanPacer
-from orchestrator.core.settings import LoopSettings
 from shared.errors import MotionLoopError, SimulationError, TransportError
 from shared.protocol.messages import TICK_HZ, Plan, StateFrame
-from shared.tasks.interface import PlanGoal, Trace
+from shared.tasks.interface import Trace
 
 PLANNER_RETRY_S = 0.5
 BAD_PLANS_IN_A_ROW = 4
@@ -72,11 +71,6 @@ class _BadPlans:
         self._count = 0
 
 
-def _period(settings: LoopSettings, goal: PlanGoal) -> int:
-    """Ticks until the plan after one for this goal."""
-    return settings.replan_ticks if goal.targets else settings.text_replan_ticks
-
-
 def _unavailable(error: MotionLoopError) -> bool:
     """Whether the planner is away or overloaded, as against having refused this one request."""
     return isinstance(error, TransportError) or error.retryable
@@ -98,7 +92,7 @@ class LockstepDriver:
         self._bad = _BadPlans()
 
     def replan_now(self) -> None:
-        """Plan at the next tick divisible by 3."""
+        """Plan at the next tick that is a frame of the planner."""
         self._next_plan_tick = self._state.tick
 
     async def drop_plan(self) -> None:
@@ -112,17 +106,17 @@ class LockstepDriver:
     async def cycle(self, source: GoalSource, max_ticks: int | None = None) -> Cycle:
         """One plan (when due) and the ticks until the next, at most `replan_ticks` and `max_ticks`."""
         settings = self._loop.settings
-        tick = self._state.tick
+        tick, spacing = self._state.tick, self._loop.start_spacing()
         plans: list[PlanTiming] = []
         trouble: str | None = None
-        if tick >= self._next_plan_tick and tick % 3 == 0:
+        if tick >= self._next_plan_tick and tick % spacing == 0:
             lead = settings.plan_lead_ticks if self._loop.last_plan is not None else 0
-            start_tick = self._pacer.start_tick(tick, lead)
+            start_tick = self._pacer.start_tick(tick, lead, self._loop.planner_spec().fps)
             began = time.perf_counter()
             period = settings.replan_ticks
             try:
                 goal = source(view_of(self._state), start_tick)
-                period = _period(settings, goal)
+                period = self._loop.period_ticks(goal)
                 plan = await self._loop.make_plan(goal, tick, start_tick)
             except SimulationError as error:
                 self._bad.count(error)
@@ -144,7 +138,7 @@ class LockstepDriver:
                     )
                 )  # fmt: skip
             self._next_plan_tick = tick + period
-        ticks = max(min(self._next_plan_tick - tick, settings.replan_ticks), 3 - tick % 3)
+        ticks = max(min(self._next_plan_tick - tick, settings.replan_ticks), spacing - tick % spacing)
         ticks = ticks if max_ticks is None else max(1, min(ticks, max_ticks))
         if trouble is not None:
             await asyncio.sleep(ticks / TICK_HZ)
@@ -235,10 +229,10 @@ class RealtimeDriver:
 
     def _launch(self, source: GoalSource, tick: int) -> None:
         settings = self._loop.settings
-        start_tick = self._pacer.start_tick(tick, settings.plan_lead_ticks)
+        start_tick = self._pacer.start_tick(tick, settings.plan_lead_ticks, self._loop.planner_spec().fps)
         goal = source(view_of(self._state), start_tick)
         task = asyncio.create_task(self._loop.make_plan(goal, tick, start_tick))
-        self._request = _Request(task, start_tick, _period(settings, goal), goal.text)
+        self._request = _Request(task, start_tick, self._loop.period_ticks(goal), goal.text)
         self._next_plan_tick = tick + self._request.period_ticks
 
     async def _collect(self, request: _Request) -> list[PlanTiming]:

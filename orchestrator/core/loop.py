@@ -11,10 +11,13 @@ import numpy as np
 
 from orchestrator.core.services import Reply, Services, Slot
 from orchestrator.core.settings import LoopSettings
-from orchestrator.core.stitch import PREFIX_FRAMES, PlanBuffer, build_prefix, frame_of_tick, last_frame_by, since
-from shared.errors import MalformedMessageError, MotionLoopError
+from orchestrator.core.stitch import PlanBuffer, build_prefix, log_window, since
+from shared.errors import InvalidInputError, MalformedMessageError, MotionLoopError
 from shared.motion.ik import clip_from_positions
+from shared.motion.resampling import finite_velocity
 from shared.motion.skeleton import CANONICAL
+from shared.plugins.checks import planner_spec
+from shared.plugins.interfaces import PlannerSpec
 from shared.protocol.base import Message
 from shared.protocol.control import Ok
 from shared.protocol.messages import (
@@ -36,12 +39,14 @@ from shared.protocol.messages import (
     Track,
     TrackReply,
 )
+from shared.protocol.rates import first_start_by, frame_of_tick, start_spacing
 from shared.tasks.interface import BodyView, PlanGoal, Trace
 
 GoalSource = Callable[[BodyView, int], PlanGoal]
 """What to ask for, given the body now and the tick the plan will start at."""
 
 MAX_TRACE_TICKS = 900
+LEAST_PLAN_FRAMES = 4
 
 
 def plan_seed(seed: int, index: int) -> int:
@@ -90,7 +95,7 @@ class CharacterLoop:
         self._refused: Slot | None = None
         self._seed = seed
         self._buffer = PlanBuffer()
-        self._since_frame = 0
+        self._since_tick = 0
         self.plans_made = 0
         self.last_plan: Plan | None = None
         self.swap_error: str | None = None
@@ -100,7 +105,7 @@ class CharacterLoop:
         state = await self.ask_tracker(StateFrame, ResetCharacter())
         self._buffer.clear()
         self.last_plan = None
-        self._since_frame = frame_of_tick(-(-state.tick // 3) * 3)
+        self._since_tick = state.tick
         return state
 
     async def ask_tracker(self, kind: type[Reply], message: Message, timeout_s: float | None = None) -> Reply:
@@ -143,11 +148,11 @@ class CharacterLoop:
         request = await self._request(goal, now_tick, start_tick)
         plan = await self._services.planner.ask(Plan, request, self.character_id, self.settings.plan_timeout_s)
         frames = len(np.asarray(plan.positions_w_m))
-        if plan.start_tick != start_tick or frames < 1:
+        if plan.start_tick != start_tick or plan.fps != request.fps or frames < 1:
             raise MalformedMessageError(
-                f"a plan of {frames} frames from tick {plan.start_tick} came",
+                f"a plan of {frames} frames at {plan.fps} fps from tick {plan.start_tick} came",
                 field="start_tick",
-                allowed=f"at least one frame from tick {start_tick}",
+                allowed=f"at least one frame at {request.fps} fps from tick {start_tick}",
             )
         self.plans_made += 1
         return plan
@@ -157,13 +162,18 @@ class CharacterLoop:
         await self._follow_swaps()
         track = Track(
             start_tick=plan.start_tick,
+            fps=plan.fps,
             skeleton=plan.skeleton,
             positions_w_m=plan.positions_w_m,
             rotations_6d=plan.rotations_6d,
+            actions=plan.actions,
+            action_space=plan.action_space,
         )
         reply = await self.ask_tracker(TrackReply, track)
         if reply.accepted:
-            self._buffer.put(frame_of_tick(plan.start_tick) + 1, plan.positions_w_m)
+            if plan.fps != self._buffer.fps:
+                self._buffer = self._buffer.at_rate(plan.fps)
+            self._buffer.put(frame_of_tick(plan.start_tick, plan.fps) + 1, plan.positions_w_m)
             self.last_plan = plan
         return reply
 
@@ -192,29 +202,34 @@ class CharacterLoop:
                 await old.ask(Ok, CloseCharacter(), self.character_id, self.settings.tracker_timeout_s)
 
     async def _request(self, goal: PlanGoal, now_tick: int, start_tick: int) -> PlanRequest:
-        end_frame = frame_of_tick(start_tick)
-        now_frame = last_frame_by(now_tick)
-        # Even frames are ticks; the range ends so that it holds `now_frame` and no sample that is still to come.
-        first_tick = now_frame // 2 * 3 - (PREFIX_FRAMES + 2) // 2 * 3
-        stop_tick = now_tick + (1 if now_tick % 3 == 0 else 0)
-        log = await self.ticks(first_tick, stop_tick, PLANNER_FPS)
-        simulated = since(np.asarray(log.body_pos_w_m, dtype=np.float64), now_frame, self._since_frame)
+        spec = self.planner_spec()
+        if self._buffer.fps != spec.fps:
+            self._buffer = self._buffer.at_rate(spec.fps)
+        window = log_window(now_tick, spec.prefix_frames, spec.fps)
+        now_frame = window.last_frame
+        log = await self.ticks(window.start_tick, window.stop_tick, spec.fps)
+        since_frame = frame_of_tick(first_start_by(self._since_tick, spec.fps), spec.fps)
+        simulated, velocities = since(
+            window.rows(log.body_pos_w_m), window.rows(log.body_linvel_w_mps), now_frame, since_frame
+        )
         if self.settings.mode == "open_loop":
             oldest = now_frame - len(simulated) + 1
             if self._buffer.has(oldest):
                 simulated = self._buffer.get(oldest, now_frame + 1)
+                velocities = finite_velocity(simulated, spec.fps)
             elif not self._buffer.has(now_frame):
                 self._buffer.put(oldest, simulated)
-        prefix = build_prefix(simulated, now_frame, end_frame, self._buffer, PREFIX_FRAMES, self.settings.error_decay_s)
-        clip = clip_from_positions(prefix.positions_w_m, PLANNER_FPS)
-        if self._services.planner is not self._planner_slot:
-            # A swap is for everyone: a plug-in that this character asked for by name was one of the old service's.
-            self._planner_slot, self.planner = self._services.planner, None
+        prefix = build_prefix(
+            simulated, velocities, now_frame, frame_of_tick(start_tick, spec.fps), self._buffer, spec.prefix_frames,
+            self.settings.error_decay_s,
+        )  # fmt: skip
+        clip = clip_from_positions(prefix.positions_w_m, spec.fps)
         guidance = goal.guidance if goal.guidance is not None else self.settings.guidance
         return PlanRequest.model_validate(
             {
-                "planner": self.planner or self._services.planner.plugin,
+                "planner": spec.name,
                 "start_tick": start_tick,
+                "fps": spec.fps,
                 "prefix_positions_w_m": prefix.positions_w_m,
                 "prefix_rotations_6d": clip.rotations_6d,
                 "prefix_velocities_w_mps": prefix.velocities_w_mps,
@@ -224,11 +239,49 @@ class CharacterLoop:
                 "heading": goal.heading,
                 "desired_velocity_w_mps": goal.desired_velocity_w_mps,
                 "guidance": guidance,
-                "horizon_frames": self.settings.horizon_frames,
+                "horizon_frames": self._horizon_frames(spec),
                 "seed": plan_seed(self._seed, self.plans_made),
                 **keyframe_arrays(goal),
             }
         )
+
+    def planner_spec(self) -> PlannerSpec:
+        """What the planner that the next plan comes from has declared.
+
+        Raises InvalidInputError for a plug-in that the service does not have.
+        """
+        slot = self._services.planner
+        if slot is not self._planner_slot:
+            # A swap is for everyone: a plug-in that this character asked for by name was one of the old service's.
+            self._planner_slot, self.planner = slot, None
+        declared = slot.spec(self.planner)
+        if not declared:
+            raise InvalidInputError(
+                f"no planner {self.planner or slot.plugin_name!r}",
+                field="planner",
+                allowed=", ".join(str(plugin.get("name")) for plugin in slot.welcome.plugins),
+            )
+        return planner_spec(declared)
+
+    def start_spacing(self) -> int:
+        """Ticks from one possible start of a plan to the next."""
+        return start_spacing(self.planner_spec().fps)
+
+    def period_ticks(self, goal: PlanGoal) -> int:
+        """Ticks until the plan after one for this goal: the planner's own period, else the settings', and in any case
+        before the plan is over. A multiple of `start_spacing`."""
+        spec = self.planner_spec()
+        wanted = self.settings.replan_ticks if goal.targets else self.settings.text_replan_ticks
+        if spec.replan_frames is not None:
+            wanted = spec.replan_frames * TICK_HZ // spec.fps
+        spacing = start_spacing(spec.fps)
+        lasts = self._horizon_frames(spec) * TICK_HZ // spec.fps
+        return max(min(wanted, lasts) // spacing, 1) * spacing
+
+    def _horizon_frames(self, spec: PlannerSpec) -> int:
+        """Frames to ask for: as long as the settings say, and at most what the planner can."""
+        wanted = round(self.settings.horizon_frames * spec.fps / PLANNER_FPS)
+        return min(max(wanted, LEAST_PLAN_FRAMES), spec.plan_frames)
 
 
 def keyframe_arrays(goal: PlanGoal) -> dict[str, np.ndarray]:

@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from orchestrator.core.stitch import start_tick_for
-from shared.protocol.messages import TICK_HZ
+from shared.protocol.rates import PLANNER_FPS, TICK_HZ
 
 EARLY_PLANS = 2
 EARLY_WITHIN_TICKS = 4 * TICK_HZ
@@ -37,15 +37,15 @@ class PlanPacer:
         self._last: _Entered | None = None
         self._early: deque[int] = deque(maxlen=EARLY_PLANS)
 
-    def start_tick(self, now_tick: int, lead_ticks: int) -> int:
-        """Where a plan asked for now enters: a tick at least `lead_ticks` ahead."""
-        soonest = start_tick_for(now_tick, lead_ticks)
+    def start_tick(self, now_tick: int, lead_ticks: int, fps: int = PLANNER_FPS) -> int:
+        """Where a plan at `fps` asked for now enters: a tick at least `lead_ticks` ahead that is a frame of it."""
+        soonest = start_tick_for(now_tick, lead_ticks, fps)
         last = self._last
         if last is None:
             return soonest
         if last.start_tick >= soonest:
-            return last.start_tick
-        return max(soonest, start_tick_for(last.start_tick, self._gap(last, soonest)))
+            return start_tick_for(last.start_tick, 0, fps)
+        return max(soonest, start_tick_for(last.start_tick, self._gap(last, soonest), fps))
 
     def entered(self, start_tick: int, period_ticks: int) -> None:
         """A plan was accepted, and is meant to run for `period_ticks`."""
