@@ -201,7 +201,7 @@ class RealtimeDriver:
     async def cycle(self, source: GoalSource, max_ticks: int | None = None) -> Cycle:
         """Wait one poll, look, collect a plan that has come, and request one that is due."""
         await self._until_look()
-        self._state = await self._loop.observe()
+        self._state, trace = await self._loop.look(self._seen + 1)
         plans: list[PlanTiming] = []
         if self._request is not None and self._request.task.done():
             landed, self._request = self._request, None  # first of all: one that raises must not be met again
@@ -210,9 +210,7 @@ class RealtimeDriver:
         due = tick >= self._next_plan_tick and not self._state.paused
         if self._request is None and due and time.monotonic() >= self._retry_at_s:
             self._launch(source, tick)
-        stop = max(self._seen, tick) + 1
-        trace = await self._loop.trace(self._seen + 1, stop)
-        self._seen = stop - 1
+        self._seen = max(self._seen, tick)
         return Cycle(self._state, trace, tuple(plans), self._trouble)
 
     async def _until_look(self) -> None:

@@ -25,6 +25,7 @@ from shared.protocol.messages import (
     TICK_HZ,
     CloseCharacter,
     GetTicks,
+    Look,
     Observe,
     Plan,
     PlanRequest,
@@ -40,7 +41,7 @@ from shared.protocol.messages import (
     TrackReply,
 )
 from shared.protocol.rates import first_start_by, frame_of_tick, start_spacing
-from shared.tasks.interface import BodyView, PlanGoal, Trace
+from shared.tasks.interface import BodyView, PlanGoal, Trace, joined
 
 GoalSource = Callable[[BodyView, int], PlanGoal]
 """What to ask for, given the body now and the tick the plan will start at."""
@@ -117,6 +118,18 @@ class CharacterLoop:
     async def observe(self) -> StateFrame:
         """The present state."""
         return await self.ask_tracker(StateFrame, Observe())
+
+    async def look(self, since_tick: int) -> tuple[StateFrame, Trace]:
+        """The present state and what happened at the ticks since_tick.., in one question to the tracker."""
+        seen = await self.ask_tracker(Look, Observe(since_tick=since_tick))
+        state, first = seen.state(), seen.start_tick
+        skip = max(0, since_tick - first)  # one that is past nothing new is answered with the present tick
+        new = Trace(
+            first + skip,
+            np.asarray(seen.body_pos_w_m, dtype=np.float64)[skip:],
+            np.asarray(seen.fallen, dtype=bool)[skip:],
+        )
+        return state, new if first <= since_tick else joined((await self.trace(since_tick, first), new))
 
     async def step(self, ticks: int) -> StateFrame:
         """Advance a lockstep character."""

@@ -171,7 +171,9 @@ class Step(Message):
 
 
 class Observe(Message):
-    """Ask for the present state: a StateFrame. With `since_tick` the reply is a Look: the ticks since then as well."""
+    """Ask for the present state: a StateFrame. With `since_tick` the reply is a Look: the ticks since then as well, at
+    most those of the last 30 s.
+    """
 
     type: ClassVar[str] = "Observe"
     since_tick: int | None = None

@@ -1,4 +1,4 @@
-"""One server for everything the documents say, with the two examples as installed packages."""
+"""One server for everything the documents say, with the examples as installed packages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.orchestrator.support import light
 from tests.planner_service.motion import write_library
 
 REPO = Path(__file__).resolve().parent.parent.parent
-EXAMPLES = ("glide_planner", "ahead_tracker")
+EXAMPLES = ("glide_planner", "own_rate", "ahead_tracker")
 
 
 def install(example: Path, site: Path) -> None:
@@ -57,14 +57,14 @@ class Served:
 
 @pytest.fixture(scope="session")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    """Planner `stand` (with `clip`, `glide`), tracker `kinematic` (with `pd`, `learned` where it loads, `ahead`)."""
+    """Planner `stand` (with `clip` and the examples), tracker `kinematic` (`pd`, `ahead`, `learned` if it loads)."""
     site = tmp_path_factory.mktemp("site")
     for name in EXAMPLES:
         install(REPO / "examples" / name, site)
     library = write_library(tmp_path_factory.mktemp("library"))
     path = os.pathsep.join([str(site), str(REPO)])
     options = light(tmp_path_factory.mktemp("data"), library)
-    options = replace(options, planner_args=("--plugins", "stand,clip,glide", *options.planner_args[2:]))
+    options = replace(options, planner_args=("--plugins", "stand,clip,glide,drift,sway", *options.planner_args[2:]))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", path)
         with Stack(options) as stack:

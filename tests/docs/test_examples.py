@@ -39,6 +39,20 @@ def test_the_planner_passes_the_suite_and_glides_to_the_target(served: Served) -
         assert np.linalg.norm(there.pelvis_w_m[:2] - [1.5, -0.5]) < 0.3
 
 
+@pytest.mark.parametrize("name", ["drift", "sway"])
+def test_planners_of_other_rates_and_lengths_pass_the_suite_and_drive_an_episode(served: Served, name: str) -> None:
+    """30 fps, one prefix frame and half a second; 40 prefix frames: no settings, the loop takes them from the spec."""
+    results = check_planner_endpoint(served.planner, name)
+    assert [result for result in results if not result.passed] == []
+    with Client(served.url) as client:
+        there = {"type": "reach", "position_m": (1.5, -0.5)}
+        episode = client.episode([there, {"type": "halt"}], planner=name, seed=3)
+        info = episode.wait(timeout_s=120)
+        assert info.success, info
+        steps_m = np.linalg.norm(np.diff(episode.motion().positions_w_m, axis=0), axis=-1)
+        assert steps_m.max() < 0.1, "plan joins plan without a jump"
+
+
 def test_the_tracker_passes_the_suite_and_stands(served: Served) -> None:
     assert isinstance(load(REPO / "examples" / "ahead_tracker" / "ahead_tracker.py").make_tracker(), Tracker)
     results = check_tracker_endpoint(served.tracker, "ahead")

@@ -50,8 +50,8 @@ def ticks(client: ServiceClient, character_id: str, start: int, stop: int, rate_
     return client.ask(message, TickRange, character_id, timeout_s=10.0)
 
 
-def same(a: TickRange, b: TickRange) -> bool:
-    """Whether two ranges are equal bit for bit."""
+def same(a: TickRange | StateFrame, b: TickRange | StateFrame) -> bool:
+    """Whether two ranges, or two states, are equal bit for bit."""
     return all(
         np.array_equal(x, getattr(b, name)) if isinstance(x := getattr(a, name), np.ndarray) else x == getattr(b, name)
         for name in type(a).model_fields

@@ -11,6 +11,7 @@ from shared.protocol.messages import (
     CloseCharacter,
     CreateCharacter,
     Impulse,
+    Look,
     Observe,
     ResetCharacter,
     Restore,
@@ -19,6 +20,7 @@ from shared.protocol.messages import (
     Snapshot,
     StateFrame,
     TakeSnapshot,
+    TickRange,
     TrackReply,
 )
 from shared.protocol.transport import ServiceClient, StateSubscriber
@@ -212,3 +214,17 @@ def test_the_former_name_of_a_tracker_is_understood(client: ServiceClient, caplo
     assert frame.tracker == "learned"
     assert any("'ppo' is called 'learned'" in record.getMessage() for record in caplog.records)
     client.ask(CloseCharacter(), Ok, "by-its-old-name")
+
+
+def test_a_look_is_the_state_and_the_ticks_since(client: ServiceClient) -> None:
+    client.ask(CreateCharacter(tracker="pd", scene="bag"), StateFrame, "looked", timeout_s=20.0)
+    step(client, "looked", 920)
+    state = client.ask(Observe(), StateFrame, "looked")
+    seen = client.ask(Observe(since_tick=911), Look, "looked")
+    assert same(seen.state(), state), "objects, contacts and all"
+    log = ticks(client, "looked", 911, 921, 30)
+    assert all(np.array_equal(getattr(seen, name), getattr(log, name)) for name in TickRange.model_fields)
+    nothing_new = client.ask(Observe(since_tick=921), Look, "looked")
+    assert (nothing_new.start_tick, len(nothing_new.fallen)) == (920, 1), "the present tick is always there"
+    long_ago = client.ask(Observe(since_tick=0), Look, "looked")
+    assert (long_ago.start_tick, len(long_ago.fallen)) == (21, 900)

@@ -43,6 +43,7 @@ SAMPLES_A_TICK = LOG_HZ // TICK_HZ
 TAIL_SAMPLES = 3 * LOG_HZ
 """Samples of the log that travel in a snapshot: three seconds, so that a restored character has its prefix."""
 MAX_ROWS = 20_000
+MAX_LOOK_TICKS = 30 * TICK_HZ
 Xy = tuple[float, float]
 log = logging.getLogger(__name__)
 
@@ -253,10 +254,10 @@ class HostedCharacter:
         return tick_range(message, samples, objects)
 
     def look(self, since_tick: int) -> Look:
-        """State and log since a tick in one go, while no tick is under way."""
+        """State and log since a tick (of the last 30 s at most) in one go, while no tick is under way."""
         with self._lock:
             state = self.frame()
-            first = min(since_tick, state.tick)
+            first = max(min(since_tick, state.tick), state.tick + 1 - MAX_LOOK_TICKS)
             message = GetTicks(start_tick=first, stop_tick=state.tick + 1, include_reference=True)
             return Look.of(state, self.ticks(message))
 

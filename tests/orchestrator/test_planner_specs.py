@@ -1,0 +1,132 @@
+"""What conformance accepts, the loop can run: any rate, prefix, length and period of a planner, over real sockets."""
+
+from __future__ import annotations
+
+import asyncio
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from orchestrator.core.drivers import LockstepDriver
+from orchestrator.core.loop import CharacterLoop
+from orchestrator.core.services import Services, connect
+from orchestrator.core.settings import LOCKSTEP
+from planner_service.service.service import PlannerService
+from planner_service.service.settings import PlannerSettings
+from shared.errors import IncompatiblePeerError
+from shared.plugins.conformance import LocalProbe, check_planner, check_planner_endpoint, require
+from shared.plugins.interfaces import Planner, PlannerSpec
+from shared.plugins.registry import PLANNERS, PluginRegistry
+from shared.protocol.control import Ok
+from shared.protocol.messages import CloseCharacter, CreateCharacter, JointTarget, StateFrame
+from shared.protocol.rates import PLANNER_RATES, start_spacing
+from shared.tasks.interface import BodyView, PlanGoal, Trace, joined
+from tests.docs.test_examples import load
+from tracker_service.service.service import TrackerService
+from tracker_service.service.settings import TrackerServiceSettings
+
+OWN_RATE = load(Path(__file__).resolve().parents[2] / "examples" / "own_rate" / "own_rate.py")
+GOAL_M = np.array([0.9, -0.4])
+TICKS = 90
+
+
+@pytest.fixture(scope="module")
+def tracker() -> Iterator[TrackerService]:
+    with TrackerService(TrackerServiceSettings(endpoint="tcp://127.0.0.1:0", trackers=("kinematic",))) as running:
+        yield running
+
+
+def gliding(**fields: object) -> Planner:
+    """A planner that glides to its target, with a spec like this."""
+    spec = PlannerSpec.model_validate(
+        {"name": "own", "version": "1", "skeleton": "human22", "conditions": ("target",), **fields}
+    )
+    planner: Planner = OWN_RATE.OwnRatePlanner(spec, OWN_RATE.turning)
+    return planner
+
+
+def hosting(planner: Planner) -> PlannerService:
+    registry: PluginRegistry[Planner] = PluginRegistry(PLANNERS, {planner.spec.name: lambda: planner}, ("own",))
+    return PlannerService(PlannerSettings(endpoint="tcp://127.0.0.1:0", max_wait_ms=0), registry=registry)
+
+
+def goal(view: BodyView, plan_tick: int) -> PlanGoal:
+    """The place to be at in two seconds from the beginning."""
+    place = (float(GOAL_M[0]), float(GOAL_M[1]), 0.0)
+    return PlanGoal(targets=(JointTarget(joint="traj", position_w_m=place, arrival_tick=max(60, plan_tick + 1)),))
+
+
+async def drive(planner: str, tracker: str) -> tuple[Trace, int]:
+    """Ninety ticks under `goal`: what happened at each, and how many plans were made."""
+    services = Services(await connect(planner, "planner"), await connect(tracker, "tracker"))
+    loop = CharacterLoop(str(uuid.uuid4()), services, LOCKSTEP, seed=1)
+    try:
+        driver = LockstepDriver(loop, await loop.ask_tracker(StateFrame, CreateCharacter()))
+        parts, tick = [], 0
+        while tick < TICKS:
+            cycle = await driver.cycle(goal)
+            assert cycle.planner_error is None
+            assert all(plan.accepted for plan in cycle.plans)
+            parts.append(cycle.trace)
+            tick = cycle.state.tick
+        await loop.ask_tracker(Ok, CloseCharacter())
+        return joined(parts), loop.plans_made
+    finally:
+        await services.close()
+
+
+@settings(max_examples=10)
+@given(
+    fps=st.sampled_from(PLANNER_RATES),
+    prefix=st.integers(1, 60),
+    plan=st.integers(4, 200),
+    replan=st.none() | st.integers(1, 200),
+)
+@example(fps=8, prefix=60, plan=4, replan=1)
+@example(fps=60, prefix=1, plan=4, replan=None)
+@example(fps=40, prefix=60, plan=200, replan=200)
+def test_what_conformance_accepts_the_loop_can_run(
+    tracker: TrackerService, fps: int, prefix: int, plan: int, replan: int | None
+) -> None:
+    planner = gliding(fps=fps, prefix_frames=prefix, plan_frames=plan, replan_frames=replan)
+    require(check_planner(LocalProbe(planner)))
+    with hosting(planner) as service:
+        trace, plans = asyncio.run(drive(service.endpoint, tracker.endpoint))
+    assert len(trace) >= TICKS
+    np.testing.assert_allclose(trace.pos_w_m[-1, 0, :2], GOAL_M, atol=0.02)
+    steps_m = np.linalg.norm(np.diff(trace.pos_w_m[:, 0, :2], axis=0), axis=-1)
+    assert steps_m.max() < 1.4 * np.linalg.norm(GOAL_M) / 60, "an even glide: no frame is lost or shown twice"
+    if replan is not None:
+        starts_every = start_spacing(fps)
+        lasts_ticks = min(plan, 2 * fps) * 30 // fps  # two seconds, if it can
+        period = max(min(replan * 30 // fps, lasts_ticks) // starts_every, 1) * starts_every
+        assert plans == -(-TICKS // period)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "field", "allowed"),
+    [
+        ({"fps": 25}, "fps", "20, 24, 30"),
+        ({"fps": 120}, "fps", "20, 24, 30"),
+        ({"prefix_frames": 61}, "prefix_frames", "<= 60"),
+        ({"plan_frames": 3}, "plan_frames", ">= 4"),
+    ],
+)
+def test_what_the_loop_cannot_run_conformance_refuses_by_name(
+    tracker: TrackerService, wrong: dict[str, int], field: str, allowed: str
+) -> None:
+    planner = gliding(fps=20, prefix_frames=20, plan_frames=40)
+    planner.spec = planner.spec.model_copy(update=wrong)  # type: ignore[misc]  # as a service of others may declare
+    with hosting(planner) as service:
+        (refused,) = check_planner_endpoint(service.endpoint)
+        assert (refused.name, refused.passed) == ("handshake", False)
+        assert field in refused.detail
+        with pytest.raises(IncompatiblePeerError) as caught:
+            asyncio.run(drive(service.endpoint, tracker.endpoint))
+    assert caught.value.field == field
+    assert allowed in (caught.value.allowed or "")
