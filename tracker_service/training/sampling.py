@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from tracker_service.simulation.reference import TICK_HZ
+from shared.protocol.rates import TICK_HZ
 
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]

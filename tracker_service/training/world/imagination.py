@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from shared.protocol.rates import TICK_HZ
 from tracker_service.simulation.humanoid import Humanoid
-from tracker_service.simulation.reference import TICK_HZ
 from tracker_service.training.env import EnvSettings
 from tracker_service.training.world.body import Bodies, Kinematics, State, tensor
 from tracker_service.training.world.model import WorldModel

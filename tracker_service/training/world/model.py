@@ -10,7 +10,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from tracker_service.simulation.reference import TICK_HZ
+from shared.protocol.rates import TICK_HZ
 from tracker_service.training.network import mlp
 from tracker_service.training.world.body import (
     Bodies,

@@ -19,8 +19,8 @@ import torch
 from torch.utils.tensorboard import SummaryWriter
 
 from shared.errors import InvalidInputError
+from shared.protocol.rates import TICK_HZ
 from tracker_service.simulation.humanoid import Humanoid
-from tracker_service.simulation.reference import TICK_HZ
 from tracker_service.training.dataset import ReferenceSet
 from tracker_service.training.env import EnvSettings, TrackingEnv
 from tracker_service.training.evaluate import evaluate
