@@ -6,7 +6,7 @@ import hashlib
 import tarfile
 import tempfile
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -17,13 +17,13 @@ import numpy as np
 from shared.data.corpus import FORMAT, FPS, ClipInfo, write_corpus
 from shared.data.label import rotation_steps_rad
 from shared.data.own import own_pieces, own_takes
-from shared.data.pieces import Piece, Report, pieces_of, same_recording
+from shared.data.pieces import Piece, Report, at_origin, pieces_of, same_recording
 from shared.data.retarget import calibrate, retarget
 from shared.data.sources import Take, list_takes
 from shared.data.splice import local_rotations
 from shared.data.texts import clean, swap_sides
 from shared.errors import InvalidInputError
-from shared.motion.body import Array, mirror, origin_start
+from shared.motion.body import Array, mirror
 from shared.motion.io.options import ReadOptions
 from shared.motion.io.raw import RawMotion
 from shared.motion.limbs import bends_rad
@@ -32,11 +32,13 @@ Progress = Callable[[str, float], None]
 """Called with what is being done and the share of the whole that is finished, 0 to 1."""
 
 HELDOUT_SHARE = 0.1
+RARE_TAKES = 12
+"""A behaviour with fewer takes is split by piece."""
 
 BEHAVIOUR_SHARES = {
-    "walk": 0.24, "run": 0.09, "turn": 0.11, "stand": 0.08, "wave": 0.11, "jump": 0.09, "punch": 0.03, "kick": 0.04,
-    "squat": 0.03, "sneak": 0.02, "dance": 0.05, "gesture": 0.04, "get_up": 0.015, "lie_down": 0.015, "pick_up": 0.02,
-    "throw": 0.015, "sit": 0.03, "other": 0.03,
+    "walk": 0.16, "run": 0.08, "turn": 0.08, "stand": 0.06, "wave": 0.08, "jump": 0.07, "punch": 0.055, "kick": 0.055,
+    "squat": 0.03, "sneak": 0.02, "dance": 0.04, "gesture": 0.035, "get_up": 0.03, "lie_down": 0.02, "pick_up": 0.015,
+    "throw": 0.015, "sit": 0.04, "rise": 0.03, "step_back": 0.03, "step_side": 0.03, "exercise": 0.015, "other": 0.02,
 }  # fmt: skip
 """Share of training samples by behaviour: what a command can ask for comes first, whatever its minutes."""
 
@@ -130,25 +132,42 @@ def recorded_pieces(takes: Sequence[Take], report: Report, progress: Progress) -
     return pieces
 
 
-def heldout_takes(pieces: Sequence[Piece]) -> set[str]:
-    """About a tenth of the takes of each behaviour, by the hash of their names; at least one of four or more."""
+def heldout_pieces(pieces: Sequence[Piece]) -> set[str]:
+    """Names of about a tenth of the pieces of each behaviour, by the hash of the names of their takes.
+
+    Of a behaviour with fewer takes than RARE_TAKES single pieces are held out, so that each has held-out clips; others
+    are split by take, and whatever comes from a held-out take is held out.
+    """
     frames: dict[str, dict[str, int]] = defaultdict(lambda: defaultdict(int))
     for piece in pieces:
         frames[piece.take][piece.label.behaviour] += len(piece.positions)
-    by_behaviour: dict[str, list[str]] = defaultdict(list)
-    for take, shares in frames.items():
-        by_behaviour[max(shares, key=lambda b: shares[b])].append(take)
-    out: set[str] = set()
-    for names in by_behaviour.values():
-        names.sort(key=lambda n: hashlib.sha256(n.encode()).hexdigest())
-        count = max(round(HELDOUT_SHARE * len(names)), 1 if len(names) >= 4 else 0)
-        out.update(names[:count])
+    kind = {take: max(shares, key=lambda b: shares[b]) for take, shares in frames.items()}
+    takes: dict[str, set[str]] = defaultdict(set)
+    for take, behaviour in kind.items():
+        takes[behaviour].add(take)
+    common = {b for b, names in takes.items() if len(names) >= RARE_TAKES}
+    held = {t for b in common for t in _tenth(takes[b])}
+    out = {p.name for p in pieces if held & set(p.take.split("+"))}
+    for behaviour in {p.label.behaviour for p in pieces} - common:
+        own = [p.name for p in pieces if p.label.behaviour == behaviour]
+        if not out.intersection(own):
+            out.update(_tenth(own))
     return out
 
 
+def _tenth(names: Iterable[str]) -> list[str]:
+    """About a tenth of the names, by their hash; at least one of four or more."""
+    order = sorted(set(names), key=lambda n: hashlib.sha256(n.encode()).hexdigest())
+    return order[: max(round(HELDOUT_SHARE * len(order)), 1 if len(order) >= 4 else 0)]
+
+
 def with_split(pieces: Sequence[Piece], heldout: set[str]) -> list[Piece]:
-    """Pieces marked; whatever touches a held-out take is held out."""
-    return [replace(p, split="heldout" if heldout & set(p.take.split("+")) else "train") for p in pieces]
+    """Pieces marked by name; a take with pieces on both sides is named by its pieces from here on."""
+    sides: dict[str, set[bool]] = defaultdict(set)
+    for p in pieces:
+        sides[p.take].add(p.name in heldout)
+    out = [replace(p, split="heldout" if p.name in heldout else "train") for p in pieces]
+    return [replace(p, take=p.name) if len(sides[p.take]) > 1 else p for p in out]
 
 
 def weights(pieces: Sequence[Piece]) -> list[float]:
@@ -169,13 +188,16 @@ def weights(pieces: Sequence[Piece]) -> list[float]:
 def mirrored(piece: Piece) -> Piece:
     """The piece with left and right exchanged, in its words too."""
     side = swap_sides(piece.label.side)
-    return replace(
+    other = replace(
         piece,
         name=piece.name + "~mirror",
         label=replace(piece.label, side=side),
         texts=tuple(clean(swap_sides(t) for t in piece.texts)),
-        positions=origin_start(mirror(piece.positions)),
+        positions=mirror(piece.positions),
+        seat=piece.seat.mirrored() if piece.seat else None,
+        strike=piece.strike.mirrored() if piece.strike else None,
     )
+    return at_origin(other)
 
 
 def _minutes(pieces: Sequence[Piece], key: Callable[[Piece], str]) -> dict[str, dict[str, float]]:
@@ -250,7 +272,7 @@ def build(
     if not pieces:
         why = "; ".join(f"{row['clip']}: {row['reason']}" for row in report.left_out[:3])
         raise InvalidInputError(f"no clip below {mocap_dir} can be used: {why}", field="mocap_dir")
-    pieces = with_split(pieces, heldout_takes(pieces))
+    pieces = with_split(pieces, heldout_pieces(pieces))
     pieces += made_pieces(pieces, np.random.default_rng(seed), report, progress, amount)
     clips: list[tuple[Piece, bool]] = [(p, False) for p in pieces]
     clips += [(mirrored(p), True) for p in pieces if p.split == "train"]
@@ -274,7 +296,22 @@ def build(
         "errors": report.errors,
     }
     infos = [
-        ClipInfo(p.name, p.take, p.source, p.label.behaviour, p.label.action, p.texts, p.split, p.made, m, 0, 0, w)
+        ClipInfo(
+            p.name,
+            p.take,
+            p.source,
+            p.label.behaviour,
+            p.label.action,
+            p.texts,
+            p.split,
+            p.made,
+            m,
+            0,
+            0,
+            w,
+            p.seat,
+            p.strike,
+        )
         for (p, m), w in zip(clips, share, strict=True)
     ]
     write_corpus(out_dir, [(i, p.positions) for i, (p, _) in zip(infos, clips, strict=True)], manifest)

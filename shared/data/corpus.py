@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from shared.data.props import Seat, Strike, seat_from, strike_from
 from shared.errors import InvalidInputError
 from shared.motion.skeleton import CANONICAL
 
@@ -29,6 +30,8 @@ class ClipInfo:
         split: 'train' or 'heldout'. made: not as recorded; mirrored: left and right exchanged.
         start, frames: its rows in the array of positions.
         weight: share of training samples it should get; sums to 1 over the training split.
+        seat: what carries the body, in the clip's own frame; None where nothing but the floor does.
+        strike: the point a limb hits and when, in the clip's own frame.
     """
 
     name: str
@@ -43,6 +46,8 @@ class ClipInfo:
     start: int
     frames: int
     weight: float
+    seat: Seat | None = None
+    strike: Strike | None = None
 
 
 @dataclass(frozen=True)
@@ -74,7 +79,7 @@ class Corpus:
                 field="corpus",
                 allowed=f"format {FORMAT}, (N, {len(CANONICAL)}, 3)",
             )
-        clips = tuple(ClipInfo(**{**e, "texts": tuple(e["texts"])}) for e in entries)
+        clips = tuple(_info(entry) for entry in entries)
         return cls(clips, array, manifest)
 
     def __len__(self) -> int:
@@ -97,6 +102,11 @@ class Corpus:
             and (behaviour is None or c.behaviour == behaviour)
             and (made is None or c.made == made)
         ]
+
+
+def _info(entry: dict[str, Any]) -> ClipInfo:
+    props = {"seat": seat_from(entry.get("seat")), "strike": strike_from(entry.get("strike"))}
+    return ClipInfo(**{**entry, "texts": tuple(entry["texts"]), **props})
 
 
 def write_corpus(

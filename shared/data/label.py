@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 
 from shared.motion.body import Array, heading_rad, runs, sole_height, velocity
@@ -73,9 +74,9 @@ def locomotion_label(p: Array, fps: float = 30.0) -> Label:
             return Label("run", "run_curve", side_of(turn))
         return Label("run", "run")
     if abs(turn) < np.radians(60) and ahead < -0.15 and abs(ahead) > abs(leftward):
-        return Label("walk", "walk_back")
+        return Label("step_back", "walk_back")
     if abs(turn) < np.radians(60) and abs(leftward) > 0.2 and abs(leftward) > 1.5 * abs(ahead):
-        return Label("walk", "walk_side", side_of(leftward))
+        return Label("step_side", "walk_side", side_of(leftward))
     starts, ends = speed[:10].mean() < STAND_MPS, speed[-10:].mean() < STAND_MPS
     if abs(turn) > np.radians(200) and seconds > 4:
         return Label("walk", "walk_circle", side_of(turn))
@@ -131,7 +132,7 @@ def segment_locomotion(
     yaw_rate = velocity(gaussian_filter1d(heading_rad(p), 9.0, mode="nearest"), fps)
     kind = np.digitize(speed, [STAND_MPS, RUN_MPS])
     turning = np.where(np.abs(yaw_rate) > _TURN_RAD_S, np.sign(yaw_rate), 0).astype(int)
-    state = kind * 3 + turning + 1
+    state = 3 * (3 * kind + _direction(p, fps)) + turning + 1
     cuts = [0, *(np.flatnonzero(np.diff(state)) + 1).tolist(), len(p)]
     pieces = list(zip(cuts[:-1], cuts[1:], strict=True))
     short = int(shortest_s * fps)
@@ -147,6 +148,16 @@ def segment_locomotion(
         else:
             pieces[k : k + 2] = [(pieces[k][0], pieces[k + 1][1])]
     return [q for piece in pieces for q in chunks(*piece, int(longest_s * fps), short)]
+
+
+def _direction(p: Array, fps: float) -> npt.NDArray[np.int64]:
+    """(T,) 0 where the body goes ahead or stands, 1 where it goes backward, 2 where it goes sideways."""
+    v = velocity(gaussian_filter1d(p[:, 0, :2], 8.0, axis=0, mode="nearest"), fps)
+    yaw = gaussian_filter1d(heading_rad(p), 8.0, mode="nearest")
+    ahead = v[:, 0] * np.cos(yaw) + v[:, 1] * np.sin(yaw)
+    across = np.abs(-v[:, 0] * np.sin(yaw) + v[:, 1] * np.cos(yaw))
+    sideways = (across > 0.25) & (across > 1.2 * np.abs(ahead))
+    return np.where(sideways, 2, np.where(ahead < -0.3, 1, 0))
 
 
 def chunks(start: int, stop: int, longest: int, shortest: int) -> list[tuple[int, int]]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from shared.data.grounding import Quality, ground
+from shared.data.grounding import Quality, ground, measure
 from shared.data.label import (
     Label,
     airborne,
@@ -18,11 +18,13 @@ from shared.data.label import (
     side_of,
     turned_rad,
 )
+from shared.data.phases import Phase, phases_of
+from shared.data.props import Seat, Strike
 from shared.data.retarget import Calibration, retarget
 from shared.data.sources import Take
 from shared.data.splice import denoise, extend_cycle, local_rotations, settle, settle_before
 from shared.data.texts import clean, sentences
-from shared.motion.body import Array, J, origin_start, runs, velocity
+from shared.motion.body import Array, J, heading_rad, origin_start, place, runs, velocity
 from shared.motion.io.raw import RawMotion
 
 FPS = 30.0
@@ -51,6 +53,18 @@ class Piece:
     made: bool = False
     quality: Quality | None = None
     split: str = "train"
+    seat: Seat | None = None
+    strike: Strike | None = None
+
+
+def at_origin(piece: Piece) -> Piece:
+    """The piece with its props turned and shifted so that its first frame stands over the origin facing +X."""
+    p = piece.positions
+    yaw = -float(heading_rad(p[:1])[0])
+    shift = -place(p[:1], yaw)[0, 0, :2]
+    seat = None if piece.seat is None else piece.seat.moved(yaw, shift)
+    strike = None if piece.strike is None else piece.strike.moved(yaw, shift)
+    return replace(piece, positions=origin_start(p), seat=seat, strike=strike)
 
 
 @dataclass
@@ -83,8 +97,9 @@ def glitch_free(p: Array, shortest: int = 45) -> list[tuple[int, int]]:
     return [(a, b) for a, b in runs(~bad) if b - a >= min(shortest, len(p))]
 
 
-def lengthen(p: Array, label: Label) -> Array | None:
-    """At least SHORTEST frames: cycles repeat, other motion begins and ends in a stand (or at rest where it is low).
+def lengthen(p: Array, label: Label, low_m: float = 0.7) -> Array | None:
+    """At least SHORTEST frames: cycles repeat, other motion begins and ends in a stand, or at rest where the pelvis is
+    below `low_m`.
 
     None for what is too fast at an end to come to rest within half a second.
     """
@@ -92,44 +107,51 @@ def lengthen(p: Array, label: Label) -> Array | None:
     if missing <= 0:
         return p
     if label.behaviour in ("walk", "run", "sneak") and label.action not in ("walk_stop", "walk_start_stop", "steps"):
-        longer = extend_cycle(p, SHORTEST)
+        # Runs are recorded in cuts of a stride or two.
+        longer = extend_cycle(p, SHORTEST, 0.5 if label.behaviour == "run" else 0.22)
+        if longer is not None:
+            return longer
+    if label.action == "hop":
+        longer = extend_cycle(p, SHORTEST, 0.36, 2)
         if longer is not None:
             return longer
     n = min(5, len(p) - 1)
     ends_mps = [np.linalg.norm(q[n, 0, :2] - q[0, 0, :2]) * FPS / max(n, 1) for q in (p, p[::-1])]
     if max(ends_mps) > _FASTEST_TO_REST_MPS:
         return None
-    low_start, low_end = (p[i, J["pelvis"], 2] < 0.7 for i in (0, -1))
+    low_start, low_end = (p[i, J["pelvis"], 2] < low_m for i in (0, -1))
     before = max(missing // 3, 15)
     after = max(missing - before, 20)
     p = settle(p, after, p[-1] if low_end else None)
     return settle_before(p, before, p[0] if low_start else None)
 
 
-def _labelled(take: Take, p: Array) -> list[tuple[int, int, Label]]:
+def _phases(take: Take, p: Array) -> list[Phase]:
     """Pieces of a take and their labels."""
-    shortest = int(2 * FPS)
+    known = phases_of(take.action, p)
+    if known is not None:
+        return known
     if take.action == "auto" and take.behaviour in ("walk", "run"):
-        return [(a, b, locomotion_label(p[a:b])) for a, b in segment_locomotion(p, FPS, longest_s=LONGEST_S)]
-    cut = chunks(0, len(p), int(LONGEST_S * FPS), shortest)
-    out = []
-    for a, b in cut:
-        piece = p[a:b]
-        if take.behaviour == "jump" and take.action == "auto":
-            label = jump_label(piece) if airborne(piece).any() else locomotion_label(piece)
-        else:
-            side = take.side
-            if side == "auto":
-                side = jump_label(piece).side or side_of(turned_rad(piece))
-            label = Label(take.behaviour, take.action, side)
-            if take.behaviour == "sneak" or take.action == "zombie":
-                # A sneaking take also stands and turns; only what moves is sneaking.
-                seen = locomotion_label(piece)
-                label = seen if seen.behaviour in ("stand", "turn") else label
-            elif take.action == "walk_start_stop":
-                label = locomotion_label(piece)
-        out.append((a, b, label))
-    return out
+        cut = segment_locomotion(p, FPS, longest_s=LONGEST_S)
+        return [Phase(a, b, locomotion_label(p[a:b])) for a, b in cut]
+    cut = chunks(0, len(p), int(LONGEST_S * FPS), int(2 * FPS))
+    return [Phase(a, b, _label(take, p[a:b])) for a, b in cut]
+
+
+def _label(take: Take, piece: Array) -> Label:
+    if take.behaviour == "jump" and take.action == "auto":
+        return jump_label(piece) if airborne(piece).any() else locomotion_label(piece)
+    if take.action == "walk_start_stop":
+        return locomotion_label(piece)
+    if take.behaviour == "sneak" or take.action == "zombie":
+        # A sneaking take also stands and turns; only what moves is sneaking.
+        seen = locomotion_label(piece)
+        if seen.behaviour in ("stand", "turn"):
+            return seen
+    side = take.side
+    if side == "auto":
+        side = jump_label(piece).side or side_of(turned_rad(piece))
+    return Label(take.behaviour, take.action, side)
 
 
 def reason_to_leave_out(p: Array, quality: Quality) -> str:
@@ -161,20 +183,23 @@ def pieces_of(take: Take, raw: RawMotion, calibration: Calibration, report: Repo
     out: list[Piece] = []
     for k, (first, last) in enumerate(whole):
         grounded, _ = ground(denoise(p[first:last]))
-        for a, b, label in _labelled(take, grounded):
+        for phase in _phases(take, grounded):
+            a, b, label = phase.start, phase.stop, phase.label
             name = take.name + (f"#{k}" if len(whole) > 1 else "") + (f"@{a}" if b - a < last - first else "")
-            longer = lengthen(grounded[a:b], label)
+            longer = lengthen(grounded[a:b], label, 0.7 if phase.seat is None else 0.87)
             if longer is None:
                 report.drop(name, "too short, and at speed where it begins or ends")
                 continue
-            final, quality = ground(longer)
+            # Whoever sits may have the feet in the air: the height that the whole take stands at is the right one.
+            final, quality = ground(longer) if phase.seat is None else (longer, measure(longer, FPS))
             reason = reason_to_leave_out(final, quality)
             if reason:
                 report.drop(name, reason)
                 continue
             own = take.texts if b - a > 0.6 * len(p) else ()
-            texts = clean([*own, *sentences(label.action, label.side)])
-            out.append(Piece(name, take.name, take.source, label, tuple(texts), origin_start(final), False, quality))
+            texts = tuple(clean([*own, *sentences(label.action, label.side)]))
+            piece = Piece(name, take.name, take.source, label, texts, final, False, quality, seat=phase.seat)
+            out.append(at_origin(piece))
     return out
 
 

@@ -82,8 +82,11 @@ def join(a: Array, i: int, b: Array, j: int, frames: int = 8) -> Array:
     return crossfade(a[:stop], b[start:], min(frames, stop, len(b) - start))
 
 
-def extend_cycle(p: Array, length: int, max_distance: float = 0.22) -> Array | None:
-    """A cyclic motion (walk, run) made at least `length` frames long by repeating its best closing cycle, or None."""
+def extend_cycle(p: Array, length: int, max_distance: float = 0.22, edge: int = 4) -> Array | None:
+    """A cyclic motion (walk, run) made at least `length` frames long by repeating its best closing cycle, or None.
+
+    The cycle keeps `edge` frames away from both ends, which is half of what its ends are cross-faded over.
+    """
     if len(p) >= length:
         return p
     f = pose_features(p)
@@ -94,15 +97,15 @@ def extend_cycle(p: Array, length: int, max_distance: float = 0.22) -> Array | N
     moved = np.linalg.norm(p[None, :, 0, :2] - p[:, None, 0, :2], axis=-1)
     # A cycle must get somewhere, or pauses would be repeated.
     d = np.where(moved > 0.4 * (j - i) / FPS, d, np.inf)
-    d = np.where((j - i >= 16) & (i >= 4) & (j <= n - 5), d - 0.001 * (j - i), np.inf)
+    d = np.where((j - i >= 14) & (i >= edge) & (j < n - edge), d - 0.001 * (j - i), np.inf)
     best = np.unravel_index(int(np.argmin(d)), d.shape)
     if d[best] > max_distance:
         return None
     start, stop = int(best[0]), int(best[1])
-    out = p[: stop + 4]
+    out = p[: stop + edge]
     while len(out) < length:
-        out = join(out, len(out) - 4, p[: stop + 4], start)
-    return np.concatenate([out, crossfade(out, p[start - 4 :], 8)[len(out) :]]) if n - stop > 12 else out
+        out = join(out, len(out) - edge, p[: stop + edge], start, 2 * edge)
+    return np.concatenate([out, crossfade(out, p[start - edge :], 2 * edge)[len(out) :]]) if n - stop > 12 else out
 
 
 def stand_over_feet(pose: Array) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from shared.motion.body import SIDES, Array, J, foot_axes, left_axis
+from shared.motion.body import SIDES, Array, J, foot_axes, left_axis, runs
 from shared.motion.rotations import normalize
 from shared.motion.skeleton import CANONICAL
 
@@ -14,6 +14,10 @@ _STRAIGHT_RAD = (np.radians(17.0), np.radians(42.0))
 """Bends between which a limb passes from nearly straight to clearly bent."""
 _POLE_SMOOTHING_FRAMES = 3.0
 _SOFT_REACH_M = 0.004
+_ELBOW_RAD = (1.7, 0.4)
+"""Angle about the arm's line up to which an elbow is left where it is, and how much farther it may come."""
+_SEEN_M, _CLEAR_M = 0.02, 0.08
+"""Offset of an elbow from the arm's line that tells where it points, and what more makes it quite clear."""
 
 
 def _bones(side: str, middle: str, end: str) -> tuple[float, float]:
@@ -77,7 +81,35 @@ def elbow_pole(p: Array, side: str) -> Array:
     u = normalize(wrist - shoulder)
     offset = elbow - shoulder
     offset = offset - np.sum(offset * u, axis=-1, keepdims=True) * u
-    return _steady(offset, elbow_rest_direction(p, side, u), *_bones(side, "elbow", "wrist"))
+    natural = elbow_rest_direction(p, side, u)
+    if offset.ndim == 2 and len(offset) > 1:
+        offset = _untwisted(offset, natural, u)
+    return _steady(offset, natural, *_bones(side, "elbow", "wrist"))
+
+
+def _untwisted(offset: Array, natural: Array, u: Array) -> Array:
+    """Offsets (T, 3) of an elbow turned about the arm's line `u` to within _ELBOW_RAD of `natural`.
+
+    No upper arm turns all the way round, and where it would pass the far side its twist would jump by a whole turn.
+    Recordings show such elbows at the end of a punch. What a stretched arm shows is a mean of what is around it.
+    """
+    size = np.linalg.norm(offset, axis=-1)
+    angle = np.arctan2(np.sum(np.cross(natural, offset) * u, axis=-1), np.sum(natural * offset, axis=-1))
+    for a, b in runs(size > _SEEN_M):
+        turned = np.unwrap(angle[a:b])
+        angle[a:b] = turned - 2 * np.pi * np.round(np.average(turned, weights=size[a:b]) / (2 * np.pi))
+    near, room = _ELBOW_RAD
+    over = np.clip(np.abs(angle) - near, 0.0, None)
+    angle = np.where(
+        size > _SEEN_M, np.sign(angle) * (np.minimum(np.abs(angle), near) + room * np.tanh(over / room)), 0
+    )
+    weight = np.where(size > _SEEN_M, size, 0.0)
+    around, total = (gaussian_filter1d(x, _POLE_SMOOTHING_FRAMES, mode="nearest") for x in (angle * weight, weight))
+    share = np.clip((size - _SEEN_M) / _CLEAR_M, 0.0, 1.0)
+    kept = share * angle + (1 - share) * around / (total + _SEEN_M)
+    out = np.cos(kept)[..., None] * natural + np.sin(kept)[..., None] * np.cross(u, natural)
+    # Turned away from its natural side a nearly stretched arm must not swing back through a mean of opposite vectors.
+    return np.asarray(out * np.maximum(size, _CLEAR_M * np.abs(kept) / near)[..., None])
 
 
 def elbow_rest_direction(p: Array, side: str, u: Array) -> Array:

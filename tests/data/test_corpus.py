@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.data.build import BEHAVIOUR_SHARES, build, heldout_takes, mirrored, weights, with_split
+from shared.data.build import BEHAVIOUR_SHARES, build, heldout_pieces, mirrored, weights, with_split
 from shared.data.corpus import Corpus
 from shared.data.label import Label, rotation_steps_rad
 from shared.data.pieces import MAX_ROTATION_STEP_RAD, SHORTEST, Piece, same_recording
 from shared.data.splice import local_rotations
-from shared.data.texts import BEHAVIOURS, SENTENCES, clean, sentences, swap_sides
+from shared.data.texts import BEHAVIOURS, PARAPHRASES, SENTENCES, clean, sentences, swap_sides
 from shared.errors import InvalidInputError
 from shared.motion.body import J, sole_height
 from shared.motion.ik import clip_from_positions
@@ -57,15 +57,43 @@ def test_swapping_sides() -> None:
 
 def test_split_is_by_take_and_stratified() -> None:
     pieces = _pieces(60)
-    heldout = heldout_takes(pieces)
-    assert heldout == heldout_takes(list(reversed(pieces)))
-    kinds = {p.take: p.label.behaviour for p in pieces}
-    assert sum(kinds[t] == "walk" for t in heldout) == 4
-    assert sum(kinds[t] == "kick" for t in heldout) == 2
-    for piece in with_split(pieces, heldout):
-        assert (piece.split == "heldout") == (piece.take in heldout)
-    joined = Piece("m", f"s/t1+{min(heldout)}", "s", Label("walk", "walk"), (), pieces[0].positions)
-    assert with_split([joined], heldout)[0].split == "heldout"
+    heldout = heldout_pieces(pieces)
+    assert heldout == heldout_pieces(list(reversed(pieces)))
+    kinds = {p.take: p.label.behaviour for p in pieces if p.name in heldout}
+    assert list(kinds.values()).count("walk") == 4
+    assert list(kinds.values()).count("kick") == 2
+    split = with_split(pieces, heldout)
+    assert not {p.take for p in split if p.split == "heldout"} & {p.take for p in split if p.split == "train"}
+
+
+def test_rare_behaviours_are_split_by_piece_so_that_each_has_heldout_clips() -> None:
+    rare = [Piece(f"s/r@{k}", "s/r", "s", Label("punch", "box"), ("a",), stepping(100)) for k in range(5)]
+    heldout = heldout_pieces([*_pieces(60), *rare])
+    assert len(heldout & {p.name for p in rare}) == 1
+    split = with_split(rare, heldout)
+    assert {p.split for p in split} == {"train", "heldout"}
+    assert len({p.take for p in split}) == 5  # no take is on both sides
+
+
+def test_paraphrases_are_of_known_actions_and_never_trained_on() -> None:
+    trained = {t for action in SENTENCES for side in ("left", "right") for t in sentences(action, side)}
+    assert len(trained) > 500
+    heldout = [t for action in PARAPHRASES for side in ("left", "right") for t in sentences(action, side, PARAPHRASES)]
+    assert set(PARAPHRASES) <= set(SENTENCES)
+    assert len(set(heldout)) > 150
+    assert not trained & set(clean(heldout))
+    for action in PARAPHRASES:
+        assert not any("right" in t.split() for t in sentences(action, "left", PARAPHRASES))
+
+
+def test_sentences_of_a_mirrored_clip_are_those_of_the_other_side() -> None:
+    for action in SENTENCES:
+        assert {swap_sides(t) for t in sentences(action, "left")} == set(sentences(action, "right"))
+        assert {swap_sides(t) for t in sentences(action)} == set(sentences(action))
+
+
+def test_advertisements_in_the_sources_are_dropped() -> None:
+    assert clean(["walk", "visit <a href=http://x.com>us</a>", "see www.tickets.org"]) == ["walk"]
 
 
 def test_weights_are_by_behaviour_and_not_by_minutes() -> None:
@@ -116,8 +144,8 @@ def test_build_from_own_recordings(tmp_path: Path) -> None:
 
 def _check_corpus(corpus: Corpus) -> None:
     train_takes = {t for c in corpus.clips if c.split == "train" for t in c.take.split("+")}
-    heldout_takes_ = {t for c in corpus.clips if c.split == "heldout" for t in c.take.split("+")}
-    assert not train_takes & heldout_takes_
+    heldout_takes = {t for c in corpus.clips if c.split == "heldout" for t in c.take.split("+")}
+    assert not train_takes & heldout_takes
     assert not any(c.mirrored and c.split == "heldout" for c in corpus.clips)
     assert sum(c.weight for c in corpus.clips) == pytest.approx(1.0)
     assert len({c.name for c in corpus.clips}) == len(corpus)
