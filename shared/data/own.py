@@ -76,7 +76,7 @@ def own_takes(folder: Path, options: ReadOptions) -> list[Take]:
         if path.with_suffix(".txt").is_file():
             texts = tuple(clean(read_lines(path.with_suffix(".txt"))))
         action = _ACTIONS.get(behaviour, behaviour if behaviour in SENTENCES else "auto")
-        side = "auto" if behaviour == "turn" else ""
+        side = "auto" if behaviour in ("turn", "step_side") else ""
         # What is told by its motion is cut like locomotion and labelled afterwards, by `seen`.
         takes.append(Take(name, source, path, None, name, behaviour or "walk", action, side, texts, options=options,
                           by_motion=not behaviour))  # fmt: skip

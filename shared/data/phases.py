@@ -59,6 +59,8 @@ def seated_runs(p: Array) -> list[tuple[int, int]]:
 def _sits(p: Array) -> list[Phase]:
     """Down, sitting still, up: the seat is under the pelvis of whoever sits still."""
     sat = seated_runs(p)
+    if not sat:
+        return [Phase(a, b, Label("sit", "sit_down")) for a, b in chunks(0, len(p), int(8 * FPS), _SHORTEST)]
     out = []
     last = 0
     for k, (a, b) in enumerate(sat):

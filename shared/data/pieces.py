@@ -24,7 +24,7 @@ from shared.data.retarget import Calibration, retarget
 from shared.data.sources import Take
 from shared.data.splice import denoise, extend_cycle, local_rotations, settle, settle_before
 from shared.data.texts import clean, sentences
-from shared.motion.body import Array, J, heading_rad, origin_start, place, runs, velocity
+from shared.motion.body import Array, J, forward_of, heading_rad, origin_start, place, runs, velocity
 from shared.motion.io.raw import RawMotion
 
 FPS = 30.0
@@ -149,7 +149,10 @@ def _label(take: Take, piece: Array) -> Label:
         if seen.behaviour in ("stand", "turn"):
             return seen
     side = take.side
-    if side == "auto":
+    if side == "auto" and take.behaviour == "step_side":
+        left = np.array([-1.0, 1.0]) * forward_of(piece)[0, 1::-1]
+        side = side_of(float((piece[-1, 0, :2] - piece[0, 0, :2]) @ left))
+    elif side == "auto":
         side = jump_label(piece).side or side_of(turned_rad(piece))
     return Label(take.behaviour, take.action, side)
 
