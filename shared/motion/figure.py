@@ -1,6 +1,6 @@
 """How our mannequin looks, as data: the parts of each joint's body, for the renderer and for glTF.
 
-Lengths come from the skeleton, girths from its stature. Each part is in the frame of its joint, which in the T-pose is
+Lengths come from the skeleton, girths from its stature and build. Each part is in the frame of its joint, which in the T-pose is
 aligned with the world: X forward, Y left, Z up.
 """
 
@@ -86,15 +86,16 @@ def parts_of(skeleton: Skeleton, joint: int) -> tuple[Part, ...]:
 
 def _parts(skeleton: Skeleton, joint: int) -> Iterator[Part]:
     name, h = skeleton.names[joint], skeleton.height_m
+    w = h * skeleton.girth
     side = name.partition("_")[0]
     part = name.removeprefix("left_").removeprefix("right_")
     colour: Colour = "left" if side == "left" else "right" if side == "right" else "body"
     if part in _OUTLINES:
         end = skeleton.offsets_m[skeleton.children(joint)[0]]
         tint: Colour = "body" if part == "collar" else "joint" if part == "neck" else colour
-        yield Part("limb", tint, (h,), end_m=tuple(end.tolist()), outline=_OUTLINES[part])
+        yield Part("limb", tint, (w,), end_m=tuple(end.tolist()), outline=_OUTLINES[part])
     if part in ("hip", "knee", "shoulder", "elbow"):
-        yield Part("sphere", "joint", (_OUTLINES[part][0][1] * 1.08 * h,))
+        yield Part("sphere", "joint", (_OUTLINES[part][0][1] * 1.08 * w,))
     elif part == "ankle":
         yield from _foot(skeleton, joint, colour)
     elif part == "foot":
@@ -107,7 +108,9 @@ def _parts(skeleton: Skeleton, joint: int) -> Iterator[Part]:
         yield Part("sphere", "joint", (0.0165 * h,))
     elif part in _TRUNK:
         for centre, half, tint in _TRUNK[part]:
-            yield Part("ellipsoid", tint, tuple(v * h for v in half), tuple(v * h for v in centre))
+            girth = (h, h, h) if part == "head" else (w, w, h)
+            sizes = tuple(v * along for v, along in zip(half, girth, strict=True))
+            yield Part("ellipsoid", tint, sizes, tuple(v * h for v in centre))
 
 
 def _foot(skeleton: Skeleton, joint: int, colour: Colour) -> Iterator[Part]:

@@ -28,6 +28,7 @@ class Skeleton:
         offsets_m: (J, 3) rest offset of each joint from its parent (metres); zero for the root.
         root_height_m: height of the root above the floor in the rest pose.
         height_m: stature.
+        girth: how much thicker the body is than is usual for the stature.
     """
 
     id: str
@@ -36,6 +37,7 @@ class Skeleton:
     offsets_m: npt.NDArray[np.float64]
     root_height_m: float
     height_m: float
+    girth: float = 1.0
 
     def __post_init__(self) -> None:
         n = len(self.names)
@@ -134,7 +136,20 @@ def _canonical() -> Skeleton:
 CANONICAL = _canonical()
 """The skeleton of the corpus, of DiP and of the character `human` (DESIGN 2)."""
 
-SKELETONS = {CANONICAL.id: CANONICAL}
+
+def scaled(base: Skeleton, skeleton_id: str, height_m: float, girth: float = 1.0) -> Skeleton:
+    """The same body larger or smaller as a whole: every length times height_m / base.height_m."""
+    factor = height_m / base.height_m
+    return Skeleton(
+        skeleton_id, base.names, base.parents, base.offsets_m * factor, base.root_height_m * factor, height_m, girth
+    )
+
+
+SKELETONS = {
+    bones.id: bones
+    for bones in (CANONICAL, scaled(CANONICAL, "child22", 1.2, 1.04), scaled(CANONICAL, "heavy22", 1.9, 1.19))
+}
+"""The skeletons of the characters (`shared.motion.characters`), all with the canonical one's joints."""
 
 
 def skeleton(skeleton_id: str) -> Skeleton:

@@ -10,15 +10,16 @@ from shared.plugins.interfaces import Tracker
 from shared.plugins.registry import TRACKERS, PluginRegistry, current_name
 from tracker_service.policy.learned import WEIGHTS
 from tracker_service.policy.registry import tracker_factories
-from tracker_service.simulation.character_spec import HUMAN
+from tracker_service.simulation.character_spec import HUMAN, character
 from tracker_service.simulation.humanoid import humanoid
 
 PREFERRED = ("learned", "pd", "kinematic")
 
 
-def builtin_trackers(weights: Path = WEIGHTS) -> dict[str, Callable[[], Tracker]]:
-    """Name -> factory of the trackers that come with motionloop, for the character `human`."""
-    return {name: _or_unavailable(make) for name, make in tracker_factories(humanoid(HUMAN), weights).items()}
+def builtin_trackers(weights: Path = WEIGHTS, character_name: str = HUMAN.name) -> dict[str, Callable[[], Tracker]]:
+    """Name -> factory of the trackers that come with motionloop, for a character."""
+    human = humanoid(character(character_name))
+    return {name: _or_unavailable(make) for name, make in tracker_factories(human, weights).items()}
 
 
 def _or_unavailable(make: Callable[[], Tracker]) -> Callable[[], Tracker]:

@@ -1,10 +1,15 @@
-"""What a character is made of: proportions, masses, servos. A registry by name; `human` now."""
+"""What a character is made of for physics: proportions, masses, servos. A registry by name.
+
+The others are the human scaled: with lengths times s and mass times m, torques against gravity go with m s, and so do
+the servos' stiffness and effort. Times go with the square root of s (Froude), so damping goes with m s^1.5 and inertia
+with m s^2: a smaller body is as stiff and as well damped for its own, quicker motion.
+"""
 
 from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from shared.errors import InvalidInputError
+from shared.motion.characters import BUILDS, Build, build
 from shared.motion.skeleton import CANONICAL, Skeleton, skeleton
 
 
@@ -75,7 +80,7 @@ _LIGHT = ServoSpec(stiffness=500, damping=25, effort_nm=400)
 HUMAN = Character(
     name="human",
     skeleton_id=CANONICAL.id,
-    mass_kg=72.0,
+    mass_kg=BUILDS["human"].mass_kg,
     mass_fractions=_MASS_FRACTIONS,
     servos={
         "hip": _STRONG, "knee": _STRONG, "ankle": _STRONG, "spine": _TRUNK,
@@ -85,11 +90,23 @@ HUMAN = Character(
     sole_friction=1.0,
 )  # fmt: skip
 
-CHARACTERS = {HUMAN.name: HUMAN}
+
+def _scaled(frame: Build) -> Character:
+    """The human in another size and weight: see the module's docstring."""
+    s, m = frame.skeleton.height_m / HUMAN.skeleton.height_m, frame.mass_kg / HUMAN.mass_kg
+    servos = {
+        joint: ServoSpec(
+            stiffness=servo.stiffness * m * s, damping=servo.damping * m * s**1.5, effort_nm=servo.effort_nm * m * s
+        )
+        for joint, servo in HUMAN.servos.items()
+    }
+    changes = {"name": frame.name, "skeleton_id": frame.skeleton_id, "mass_kg": frame.mass_kg, "servos": servos}
+    return HUMAN.model_copy(update={**changes, "armature": HUMAN.armature * m * s * s})
+
+
+CHARACTERS = {name: HUMAN if name == HUMAN.name else _scaled(frame) for name, frame in BUILDS.items()}
 
 
 def character(name: str) -> Character:
     """Character by name; raises InvalidInputError listing the known ones."""
-    if name not in CHARACTERS:
-        raise InvalidInputError(f"unknown character {name!r}", field="character", allowed=", ".join(CHARACTERS))
-    return CHARACTERS[name]
+    return CHARACTERS[build(name).name]

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.motion.rotations import quat_from_matrix
-from shared.motion.skeleton import Skeleton
+from shared.motion.skeleton import CANONICAL, Skeleton
 from tracker_service.simulation.character_spec import Character
 from tracker_service.simulation.hinges import Hinges, human_hinges
 
@@ -74,20 +74,21 @@ def humanoid(character: Character) -> Humanoid:
 
 
 def _geoms(skeleton: Skeleton, joint: str) -> list[dict[str, object]]:
-    """Shapes of one body in its frame, sizes for the 1.75 m skeleton scaled by stature."""
-    s = skeleton.height_m / 1.75
+    """Shapes of one body in its frame, sizes for the canonical skeleton scaled by stature, radii also by girth."""
+    s = skeleton.height_m / CANONICAL.height_m
+    g = s * skeleton.girth
     capsule, box, sphere = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE
     kind = joint.removeprefix("left_").removeprefix("right_")
     side = -1.0 if joint.startswith("right_") else 1.0
 
     def across(half: float, x: float, z: float, radius: float) -> dict[str, object]:
         ends = [x * s, -half * s, z * s, x * s, half * s, z * s]
-        return {"type": capsule, "fromto": ends, "size": [radius * s, 0, 0]}
+        return {"type": capsule, "fromto": ends, "size": [radius * g, 0, 0]}
 
     def along(child: str, radius: float, start: float = 0.0) -> dict[str, object]:
         end = skeleton.offsets_m[skeleton.index(child)]
         begin = end / np.linalg.norm(end) * start * s
-        return {"type": capsule, "fromto": [*begin, *end], "size": [radius * s, 0, 0]}
+        return {"type": capsule, "fromto": [*begin, *end], "size": [radius * g, 0, 0]}
 
     prefix = "left_" if side > 0 else "right_"
     if kind == "pelvis":

@@ -25,6 +25,7 @@ from shared.motion.rotations import (
     quat_from_matrix,
     rotvec_from_matrix,
 )
+from shared.motion.skeleton import CANONICAL
 from shared.protocol.rates import PLANNER_FPS, TICK_HZ, frame_of_tick, last_frame_by, start_spacing
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.simulation.kinematics import BodyKinematics, qpos_from_motion
@@ -212,7 +213,7 @@ class ReferenceBuffer:
         skeleton = self._human.skeleton
         end = last_two[-1]
         frames = self._stand_frames
-        if end[0, 2] < STAND_UP_HEIGHT_M * skeleton.height_m / 1.75:
+        if end[0, 2] < STAND_UP_HEIGHT_M * skeleton.height_m / CANONICAL.height_m:
             return np.repeat(end[None], 2 * frames, axis=0)
         local = rotations_from_positions(end[None], skeleton)[0]
         stand = standing_pose(skeleton, float(heading_of(local[0][:, 0])))
