@@ -1,7 +1,7 @@
 """How our mannequin looks, as data: the parts of each joint's body, for the renderer and for glTF.
 
-Lengths come from the skeleton, girths from its stature and build. Each part is in the frame of its joint, which in the T-pose is
-aligned with the world: X forward, Y left, Z up.
+Lengths come from the skeleton, girths from its stature and build. Each part is in the frame of its joint, which in
+the T-pose is aligned with the world: X forward, Y left, Z up.
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ def test_action_chunks_drive_the_servos() -> None:
     elbow = HUMANOID.hinges.names.index("left_elbow_0")
     chunk = np.tile(character.reference.at(0).hinges_rad[0], (20, 1))
     chunk[:, elbow] = 1.8
-    character.set_actions(0, chunk)
+    character.driver.set_actions(0, chunk)
     character.step(20)
     assert character.observe().hinge_pos_rad[elbow] == pytest.approx(1.8, abs=0.2)
 
@@ -109,7 +109,7 @@ def test_action_chunks_drive_the_servos() -> None:
         (lambda c: c.set_reference(1, np.zeros((5, 22, 3))), "start_tick"),
         (lambda c: c.set_reference(0, np.zeros((5, 21, 3))), "positions_w_m"),
         (lambda c: c.set_reference(0, np.full((5, 22, 3), np.nan)), "positions_w_m"),
-        (lambda c: c.set_actions(0, np.zeros((5, 7))), "actions"),
+        (lambda c: c.driver.set_actions(0, np.zeros((5, 7))), "actions"),
         (lambda c: c.impulse("tail", (1.0, 0.0, 0.0)), "joint"),
         (lambda c: c.impulse("head", (np.inf, 0.0, 0.0)), "impulse_w_ns"),
     ],

@@ -108,8 +108,8 @@ def test_ticks_go_on_while_a_plan_is_prepared(
     simulation = hosted.simulation
     prepare, begun, go_on = simulation.prepared_reference, threading.Event(), threading.Event()
 
-    def slowly(start_tick: int, positions: npt.NDArray[np.floating]) -> ReferenceBuffer:
-        prepared = prepare(start_tick, positions)
+    def slowly(start_tick: int, positions: npt.NDArray[np.floating], fps: int) -> ReferenceBuffer:
+        prepared = prepare(start_tick, positions, fps)
         begun.set()
         assert go_on.wait(20.0)
         return prepared

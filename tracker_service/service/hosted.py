@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import threading
 import zipfile
@@ -21,17 +20,18 @@ from shared.plugins.interfaces import Tracker
 from shared.protocol.base import PROTOCOL_VERSION
 from shared.protocol.messages import (
     LOG_HZ,
-    SERVO_TARGETS,
     TICK_HZ,
     GetTicks,
     Look,
     Pacing,
+    SetObject,
     Snapshot,
     StateFrame,
     TickRange,
     Track,
     TrackReply,
 )
+from tracker_service.service.dumps import dump_state
 from tracker_service.service.log_tail import pack_tail, split_buffers
 from tracker_service.service.plan_check import check_plan, late_reason
 from tracker_service.service.replies import state_frame, tick_range
@@ -83,7 +83,7 @@ class HostedCharacter:
         self.character_id = character_id
         self.clock = Clock(pacing)
         self.seed = seed
-        self.failure: str | None = None
+        self._failure: str | None = None
         self.closed = False
         self._lock = threading.RLock()
         self._simulation = simulation
@@ -104,6 +104,11 @@ class HostedCharacter:
         return self._simulation.tick
 
     @property
+    def failure(self) -> str | None:
+        """Why the last tick failed, or why its tracker is not asked any more."""
+        return self._failure or self._simulation.driver.failure
+
+    @property
     def simulation(self) -> SimulatedCharacter:
         """The simulation now in place; SetScene exchanges it."""
         return self._simulation
@@ -116,7 +121,11 @@ class HostedCharacter:
                 try:
                     self._log(self._simulation.step(1))
                 except SimulationError as error:
-                    self._fail(error)
+                    self._fail(error.message)
+                    break
+                except Exception as error:  # whatever it is, the clock goes on and the reason is seen
+                    log.exception("%s: a tick broke", self.character_id)
+                    self._fail(f"a tick broke: {type(error).__name__}: {error}")
                     break
             return self.frame()
 
@@ -129,7 +138,7 @@ class HostedCharacter:
         with self._lock:
             if self.clock.pacing != "lockstep":
                 raise ConflictError("a realtime character steps by itself", field="pacing", allowed="lockstep")
-            self.failure = None
+            self._failure = None
             return self.advance(ticks)
 
     def realtime_tick(self) -> StateFrame | None:
@@ -144,7 +153,8 @@ class HostedCharacter:
         with self._lock:
             self._check_open()
             now = self.tick
-            self._check_actions(message)
+            if len(message.actions):
+                self._simulation.driver.check_actions(message.actions, message.action_space)
             check_plan(message, self.skeleton, self._last_row()["body_pos_w_m"][0], self._settings)
             if message.start_tick > now + self._settings.max_ahead_ticks:
                 raise InvalidInputError(
@@ -163,12 +173,14 @@ class HostedCharacter:
             now = self.tick
             if self._simulation is not simulation or simulation.reference is not reference:
                 # Reset, restored or given another plan in between: this plan comes on top of that.
-                self._check_actions(message)
                 prepared = self._simulation.prepared_reference(message.start_tick, message.positions_w_m, message.fps)
-            self._simulation.reference = prepared
-            if len(message.actions):
-                self._simulation.set_actions(message.start_tick, message.actions)
-            self.failure = None
+            driver = self._simulation.driver
+            if len(message.actions) and message.action_space is not None:
+                driver.set_actions(message.start_tick, message.actions, message.action_space)
+            else:
+                driver.end_actions(message.start_tick)
+            self._simulation.enter(message.start_tick, prepared, message.may_be_low)
+            self._recover()
             self._last_good = self._simulation.snapshot()
             return TrackReply(accepted=True, tick=now, entered_tick=max(now, message.start_tick))
 
@@ -188,12 +200,22 @@ class HostedCharacter:
             self._simulation.impulse(body, impulse_w_ns)
             self._last_good = self._simulation.snapshot()
 
+    def set_object(self, message: SetObject) -> StateFrame:
+        """Move an object at once; raises InvalidInputError, changing nothing, for one that cannot move so."""
+        with self._lock:
+            self._check_open()
+            self._simulation.set_object(
+                message.name, message.position_w_m, message.quat_w, message.linvel_w_mps, message.angvel_w_radps
+            )
+            self._log_jump()
+            return self.frame()
+
     def reset(self, xy_w_m: Xy | None, heading_rad: float | None) -> StateFrame:
         """Stand up at a place (None: where it is, facing as it does); clock and log go on."""
         with self._lock:
             self._check_open()
             self._stand_up(*self._place(xy_w_m, heading_rad))
-            self.failure = None
+            self._recover()
             return self.frame()
 
     def replace_simulation(self, simulation: SimulatedCharacter) -> StateFrame:
@@ -204,7 +226,7 @@ class HostedCharacter:
             simulation.reset(*self._place(None, None))
             self._simulation = simulation
             self._log_jump()
-            self.failure = None
+            self._recover()
             return self.frame()
 
     def set_tracker(self, tracker: Tracker) -> None:
@@ -212,6 +234,7 @@ class HostedCharacter:
         with self._lock:
             self._check_open()
             self._simulation.set_tracker(tracker)
+            self._failure = None
             self._last_good = self._simulation.snapshot()
 
     def set_pacing(self, pacing: Pacing, paused: bool) -> StateFrame:
@@ -251,7 +274,8 @@ class HostedCharacter:
         # A realtime tick counts up before its samples are in the log: what is not there yet is not read.
         there = min(now * SAMPLES_A_TICK + 1, self._recorder.next_sample)
         samples = self._recorder.read(start, min(stop, there), stride)
-        return tick_range(message, samples, objects)
+        impulses = self._recorder.read_sums("contact_impulse_ns", start, min(stop, there), stride)
+        return tick_range(message, samples, impulses, objects)
 
     def look(self, since_tick: int) -> Look:
         """State and log since a tick (of the last 30 s at most) in one go, while no tick is under way."""
@@ -296,7 +320,7 @@ class HostedCharacter:
             self._recorder.truncate(first)
             self._log(tail)
             self.seed = int(meta["seed"])
-            self.failure = None
+            self._recover()
             self._last_good = self._simulation.snapshot()
 
     def close(self) -> None:
@@ -316,26 +340,16 @@ class HostedCharacter:
         if self.closed:
             raise ConflictError(f"character {self.character_id!r} was closed", field="character_id")
 
-    def _check_actions(self, message: Track) -> None:
-        spec, space = self._simulation.tracker.spec, message.action_space
-        if len(message.actions) == 0:
-            return
-        if space not in spec.action_spaces:
-            raise InvalidInputError(
-                f"tracker {spec.name!r} takes no actions in the space {space!r}",
-                field="action_space",
-                allowed=", ".join(spec.action_spaces) or "no actions, or another tracker",
-            )
-        hinges = len(self._simulation.human.hinges)
-        if space == SERVO_TARGETS and message.actions.shape[1] != hinges:
-            raise InvalidInputError(
-                f"the actions have shape {message.actions.shape}", field="actions", allowed=f"(A, {hinges})"
-            )
+    def _recover(self) -> None:
+        """Go on after a failure: a tracker that failed is asked again."""
+        self._failure = None
+        self._simulation.driver.resume()
 
     def _log(self, samples: Samples) -> None:
         kept = {n: a.astype("<f4") if a.dtype.kind == "f" else a.astype("|u1") for n, a in samples.items()}
         self._recorder.append(kept)
         self._last = {name: array[-1] for name, array in kept.items()}
+        self._last["contact_impulse_ns"] = kept["contact_impulse_ns"][-SAMPLES_A_TICK:].sum(axis=0)
 
     def _last_row(self) -> Samples:
         return self._last
@@ -362,23 +376,19 @@ class HostedCharacter:
         self._log({name: np.repeat(array, missing, axis=0) for name, array in sample.items()})
         self._last_good = self._simulation.snapshot()
 
-    def _fail(self, error: SimulationError) -> None:
+    def _fail(self, reason: str) -> None:
         """Write the last sound state for replay, stand the character up where it was, and say so."""
-        meta, state, buffers = self._last_good
-        failed_tick = self._simulation.tick
-        path = self._dump_dir / f"{_file_name(self.character_id)}-{failed_tick}.npz"
+        failed_tick, again = self._simulation.tick, self._failure is not None
+        dumped = (
+            "as before"
+            if again
+            else dump_state(self._dump_dir, self.character_id, self._last_good, failed_tick, reason)
+        )
+        log.error("%s: %s (%s)", self.character_id, reason, dumped)
+        self._failure = f"{reason}; character reset; state for replay: {dumped}"
         try:
-            self._dump_dir.mkdir(parents=True, exist_ok=True)
-            about = json.dumps({**meta, "failed_tick": failed_tick, "reason": error.message})
-            np.savez(path, state=state, buffers=buffers, about=np.array(about))
-            dumped = str(path)
-        except OSError as problem:
-            dumped = f"not dumped: {problem}"
-        log.error("%s: %s (%s)", self.character_id, error.message, dumped)
-        self._simulation.tick = self._recorder.next_sample // SAMPLES_A_TICK
-        self._stand_up(*self._place(None, None))
-        self.failure = f"{error.message}; character reset; state for replay: {dumped}"
-
-
-def _file_name(character_id: str) -> str:
-    return "".join(c if c.isalnum() or c in "-_" else "_" for c in character_id) or "character"
+            self._simulation.tick = self._recorder.next_sample // SAMPLES_A_TICK
+            self._stand_up(*self._place(None, None))
+        except Exception as error:  # the reason must be seen even if nothing can be mended
+            log.exception("%s cannot be reset", self.character_id)
+            self._failure = f"{reason}; and it cannot be reset: {type(error).__name__}: {error}"

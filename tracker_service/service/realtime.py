@@ -9,7 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-from shared.errors import ConflictError, MotionLoopError
+from shared.errors import ConflictError
 from shared.protocol.messages import TICK_HZ, StateFrame
 from tracker_service.service.hosted import HostedCharacter
 
@@ -119,12 +119,15 @@ class RealtimeClock:
             frame = character.realtime_tick()
         except ConflictError:
             log.debug("%s was closed while its tick was due", character.character_id)
-        except MotionLoopError:
+        except Exception:  # nothing that a tick raises may stop its clock; what it was is in the character's failure
             log.exception("a tick of %s failed", character.character_id)
         done = keep_time(entry.due_s, self._now(), self._catch_up_ticks)
         character.clock.missed_ticks += done.missed_ticks
         if frame is not None:  # before the next tick may begin, so that frames leave in order
-            self._on_frame(frame)
+            try:
+                self._on_frame(frame)
+            except Exception:
+                log.exception("a frame of %s could not be published", character.character_id)
         with self._changed:
             entry.due_s, entry.running = done.next_due_s, False
             self._changed.notify_all()

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from shared.protocol.messages import TICK_HZ, GetTicks, Pacing, StateFrame, TickRange
 from tracker_service.simulation.character import SimulatedCharacter
+from tracker_service.simulation.contacts import FLOOR_COLUMN
 from tracker_service.simulation.recorder import Samples
+
+Impulses = npt.NDArray[Any]
+Ints = npt.NDArray[np.int64]
 
 
 def state_frame(
@@ -22,6 +28,7 @@ def state_frame(
 ) -> StateFrame:
     """The present state from the newest sample `row`, arrays without the leading axis."""
     poses, speeds = row["object_pose_w"], row["object_vel_w"]
+    _, body, touched, impulse = _as_list(row["contact_impulse_ns"][None])
     return StateFrame(
         character_id=character_id,
         character=simulation.human.character.name,
@@ -45,9 +52,9 @@ def state_frame(
         object_quat_w=poses[:, 3:],
         object_linvel_w_mps=speeds[:, :3],
         object_angvel_w_radps=speeds[:, 3:],
-        contact_body=np.zeros(0),
-        contact_object=np.zeros(0),
-        contact_impulse_ns=np.zeros(0),
+        contact_body=body,
+        contact_object=touched,
+        contact_impulse_ns=impulse,
         tracking_error_m=float(row["tracking_error_m"]),
         fallen=bool(row["fallen"]),
         plan_end_tick=simulation.reference.plan_end_tick,
@@ -56,9 +63,10 @@ def state_frame(
     )
 
 
-def tick_range(message: GetTicks, samples: Samples, objects: Sequence[str]) -> TickRange:
-    """The samples (N, ...) that a request asked for."""
+def tick_range(message: GetTicks, samples: Samples, impulses: Impulses, objects: Sequence[str]) -> TickRange:
+    """The samples (N, ...) that a request asked for, and the impulses (N, J, 1 + O) since the sample before each."""
     reference = samples["reference_pos_w_m"]
+    sample, body, touched, impulse = _as_list(impulses)
     return TickRange(
         start_tick=message.start_tick,
         rate_hz=message.rate_hz,
@@ -73,11 +81,17 @@ def tick_range(message: GetTicks, samples: Samples, objects: Sequence[str]) -> T
         servo_target_rad=samples["servo_target_rad"],
         object_pose_w=samples["object_pose_w"],
         object_vel_w=samples["object_vel_w"],
-        contact_sample=np.zeros(0),
-        contact_body=np.zeros(0),
-        contact_object=np.zeros(0),
-        contact_impulse_ns=np.zeros(0),
+        contact_sample=sample,
+        contact_body=body,
+        contact_object=touched,
+        contact_impulse_ns=impulse,
         tracking_error_m=samples["tracking_error_m"],
         fallen=samples["fallen"],
         reference_pos_w_m=reference if message.include_reference else reference[:0],
     )
+
+
+def _as_list(impulses: Impulses) -> tuple[Ints, Ints, Ints, Impulses]:
+    """Sample, body, object (FLOOR for the floor) and impulse of every contact in impulses (N, J, 1 + O)."""
+    sample, body, column = np.nonzero(impulses > 0)
+    return sample, body, column - 1 - FLOOR_COLUMN, impulses[sample, body, column]

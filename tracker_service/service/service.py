@@ -19,7 +19,6 @@ from shared.plugins.interfaces import Tracker
 from shared.protocol.base import Message
 from shared.protocol.control import Envelope, Health, HealthReport, Hello, Ok, Welcome
 from shared.protocol.messages import (
-    TICK_HZ,
     CloseCharacter,
     CreateCharacter,
     GetTicks,
@@ -30,6 +29,7 @@ from shared.protocol.messages import (
     Render,
     ResetCharacter,
     Restore,
+    SetObject,
     SetPacing,
     SetScene,
     SetTracker,
@@ -43,6 +43,8 @@ from shared.protocol.messages import (
     Video,
 )
 from shared.protocol.transport import ServiceServer, StatePublisher
+from shared.scenes.files import scene_from_data
+from shared.scenes.schema import Scene
 from tracker_service.policy.learned import WEIGHTS
 from tracker_service.rendering.render import VideoRenderer
 from tracker_service.rendering.video_job import VideoJob
@@ -51,7 +53,8 @@ from tracker_service.service.log_tail import check_format
 from tracker_service.service.realtime import RealtimeClock
 from tracker_service.service.settings import TrackerServiceSettings, dump_folder
 from tracker_service.service.trackers import TrackerCatalogue, builtin_trackers
-from tracker_service.service.worlds import Worlds, scene_name, scene_shapes
+from tracker_service.service.videos import video_job
+from tracker_service.service.worlds import Worlds
 from tracker_service.simulation.recorder import Recorder
 
 VERSION = "0.1.0"
@@ -82,7 +85,7 @@ class TrackerService:
         self._trackers = TrackerCatalogue(
             settings.trackers, settings.default_tracker, trackers or builtin_trackers(settings.weights or WEIGHTS)
         )
-        self._worlds = Worlds()
+        self._worlds = Worlds(settings.scenes)
         self._renderer = renderer or VideoRenderer(concurrent=VIDEOS_AT_ONCE, timeout_s=settings.video_timeout_s)
         self._videos = ThreadPoolExecutor(VIDEOS_AT_ONCE, thread_name_prefix="video")
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
@@ -99,6 +102,7 @@ class TrackerService:
             CreateCharacter: self._create,
             CloseCharacter: self._close,
             SetScene: self._set_scene,
+            SetObject: self._set_object,
             SetTracker: self._set_tracker,
             SetPacing: self._set_pacing,
             ResetCharacter: self._reset,
@@ -209,8 +213,8 @@ class TrackerService:
         hosted = self._host(
             character_id,
             message.character,
-            scene_name(message.scene),
-            self._trackers.get(message.tracker),
+            self._worlds.scene(message.scene, message.seed),
+            self._trackers.get(message.tracker, message.character),
             message.pacing,
             message.seed,
             message.position_w_m,
@@ -223,7 +227,7 @@ class TrackerService:
         self,
         character_id: str,
         character: str,
-        scene: str,
+        scene: Scene,
         tracker: Tracker,
         pacing: Pacing,
         seed: int,
@@ -274,13 +278,16 @@ class TrackerService:
     def _set_scene(self, envelope: Envelope, message: SetScene) -> StateFrame:
         hosted = self.character(envelope.character_id)
         old = hosted.simulation
-        new = self._worlds.simulation(
-            old.human.character.name, scene_name(message.scene), old.tracker, hosted.character_id
-        )
+        scene = self._worlds.scene(message.scene, hosted.seed)
+        new = self._worlds.simulation(old.human.character.name, scene, old.tracker, hosted.character_id)
         return self._published(hosted.replace_simulation(new))
 
+    def _set_object(self, envelope: Envelope, message: SetObject) -> StateFrame:
+        return self._published(self.character(envelope.character_id).set_object(message))
+
     def _set_tracker(self, envelope: Envelope, message: SetTracker) -> Ok:
-        self.character(envelope.character_id).set_tracker(self._trackers.get(message.tracker))
+        hosted = self.character(envelope.character_id)
+        hosted.set_tracker(self._trackers.get(message.tracker, hosted.simulation.human.character.name))
         return Ok()
 
     def _set_pacing(self, envelope: Envelope, message: SetPacing) -> StateFrame:
@@ -321,20 +328,20 @@ class TrackerService:
             if not isinstance(value, str):
                 raise InvalidInputError(f"the snapshot does not say its {key}", field=f"meta.{key}", allowed="a name")
             names[key] = value
-        tracker = self._trackers.get(names["tracker"])
+        tracker = self._trackers.get(names["tracker"], names["character"])
+        scene = scene_from_data(meta.get("scene_document"))
         with self._lock:
             present = self._characters.get(character_id)
         if present is not None:
-            if present.simulation.scene.scene.name != names["scene"]:
-                raise ConflictError(
-                    f"the character is in scene {present.simulation.scene.scene.name!r}", field="meta.scene",
-                    allowed=names["scene"],
-                )  # fmt: skip
+            if present.simulation.scene.scene != scene:
+                other = present.simulation.scene.scene.name
+                what = f"scene {other!r}" if other != scene.name else f"another draw of scene {other!r}"
+                raise ConflictError(f"the character is in {what}", field="meta.scene", allowed=scene.name)
             present.restore(meta, message.state, message.buffers)
             present.set_tracker(tracker)
             return self._published(present.frame())
         pacing: Pacing = "realtime" if names["pacing"] == "realtime" else "lockstep"
-        hosted = self._host(character_id, names["character"], names["scene"], tracker, pacing, 0)
+        hosted = self._host(character_id, names["character"], scene, tracker, pacing, 0)
         try:
             hosted.restore(meta, message.state, message.buffers)
             self._admit(hosted)
@@ -344,35 +351,7 @@ class TrackerService:
         return self._paced(hosted)
 
     def _render(self, envelope: Envelope, message: Render) -> Future[Message]:
-        hosted = self.character(envelope.character_id)
-        stop = hosted.tick + 1 if message.stop_tick is None else message.stop_tick
-        if not message.start_tick < stop <= message.start_tick + self.settings.video_ticks:
-            raise InvalidInputError(
-                f"a video of ticks {message.start_tick} to {stop}",
-                field="stop_tick",
-                allowed=f"{message.start_tick + 1} to {message.start_tick + self.settings.video_ticks}",
-            )
-        ranges = [
-            hosted.ticks(GetTicks(start_tick=first, stop_tick=min(first + 10_000, stop)))
-            for first in range(message.start_tick, stop, 10_000)
-        ]
-        scene = hosted.simulation.scene.scene
-        fps = self.settings.video_fps
-        every = slice(None, None, TICK_HZ // fps)
-        job = VideoJob(
-            body_pos_w_m=np.concatenate([part.body_pos_w_m for part in ranges])[every],
-            body_quat_w=np.concatenate([part.body_quat_w for part in ranges])[every],
-            object_pose_w=np.concatenate([part.object_pose_w for part in ranges])[every],
-            fps=fps,
-            objects=tuple(ranges[-1].objects),
-            shapes=scene_shapes(scene),
-            start_tick=message.start_tick,
-            captions=tuple(message.captions),
-            width=message.width,
-            height=message.height,
-            camera=message.camera,
-            skeleton_id=hosted.skeleton.id,
-        )
+        job = video_job(self.character(envelope.character_id), message, self.settings)
         return self._videos.submit(self._video, job)
 
     def _video(self, job: VideoJob) -> Message:

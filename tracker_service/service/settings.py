@@ -22,6 +22,7 @@ class TrackerServiceSettings(ServiceSettings):
         trackers: names of the plug-ins to offer; empty for all there are.
         default_tracker: the one used where none is named; empty for the first of learned, pd, or what there is.
         weights: policy of `learned` in place of the one that comes with the package.
+        scenes: folder of scenes of one's own (YAML), looked at before those of the package.
         max_characters: more are refused as overloaded.
         spool_dir: folder for recordings that leave memory and for dumps of failed physics; a temporary one, removed at
             the end (dumps stay), by default.
@@ -44,6 +45,7 @@ class TrackerServiceSettings(ServiceSettings):
     trackers: tuple[str, ...] = ()
     default_tracker: str = ""
     weights: Path | None = None
+    scenes: Path | None = None
     max_characters: Annotated[int, Field(ge=1, le=1024)] = 32
     spool_dir: Path | None = None
     chunk_samples: Annotated[int, Field(ge=2, le=36_000)] = 1200

@@ -7,19 +7,24 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from shared.errors import InvalidInputError, SimulationError
+from shared.motion.rotations import cross, matrix_from_quat
 from shared.plugins.interfaces import Tracker, TrackerObservation
 from shared.protocol.rates import PLANNER_FPS, TICK_HZ
-from tracker_service.simulation.fallen import FallDetector, floor_touch
+from tracker_service.simulation.contacts import Contacts
+from tracker_service.simulation.drive import Driver
+from tracker_service.simulation.fallen import FallDetector
 from tracker_service.simulation.humanoid import FEET, PHYSICS_HZ
+from tracker_service.simulation.objects import Vector, set_object
 from tracker_service.simulation.reference import ReferenceBuffer
 from tracker_service.simulation.scene import SceneModel
+from tracker_service.simulation.surroundings import Heights, Sight
 
 Array = npt.NDArray[np.float64]
 Samples = dict[str, npt.NDArray[np.generic]]
@@ -30,6 +35,25 @@ EXPLODED_MPS = 60.0
 """No body part moves this fast; physics that does has exploded."""
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+
+
+class States(NamedTuple):
+    """World frames: positions (N, 3), quaternions (N, 4), linear and angular velocities (N, 3)."""
+
+    pos_w_m: Array
+    quat_w: Array
+    linvel_w_mps: Array
+    angvel_w_radps: Array
+
+    @property
+    def pose(self) -> Array:
+        """(N, 7)."""
+        return np.concatenate([self.pos_w_m, self.quat_w], axis=-1)
+
+    @property
+    def velocity(self) -> Array:
+        """(N, 6)."""
+        return np.concatenate([self.linvel_w_mps, self.angvel_w_radps], axis=-1)
 
 
 class SimulatedCharacter:
@@ -55,11 +79,15 @@ class SimulatedCharacter:
         self.scene = scene
         self.human = scene.human
         self.character_id = character_id
-        self.tracker = tracker
+        self.driver = Driver(scene.human, tracker, character_id)
         self.tick = 0
         self._data = mujoco.MjData(scene.model)
         self._hinge_end = 7 + len(self.human.hinges)
-        self._actions: tuple[int, Array] = (0, np.zeros((0, len(self.human.hinges))))
+        self._contacts = Contacts(scene)
+        self._heights = Heights(scene)
+        self._sight = Sight(scene, self._heights)
+        self._frames = np.concatenate([scene.body_ids, scene.object_ids])
+        self._low: list[tuple[int, bool]] = []
         self._feet = [scene.human.skeleton.index(name) for name in FEET]
         self.reset(xy_w_m, heading_rad)
 
@@ -71,22 +99,34 @@ class SimulatedCharacter:
         self.reference = ReferenceBuffer(self.human, self.tick, xy_w_m, heading_rad)
         data.qpos[: self._hinge_end] = self.reference.at(self.tick).qpos[0]
         data.ctrl[:] = data.qpos[7 : self._hinge_end]
-        self._actions = (0, np.zeros((0, len(self.human.hinges))))
-        self._fall = FallDetector(self.scene)
+        self._low = []
+        self._fall = FallDetector(self.scene, self._heights)
         mujoco.mj_forward(model, data)
-        self.tracker.reset([self.character_id])
+        self.driver.reset()
+
+    @property
+    def tracker(self) -> Tracker:
+        """The tracker in use."""
+        return self.driver.tracker
 
     def set_tracker(self, tracker: Tracker) -> None:
-        """Swap the tracker; it takes over at the next tick."""
-        self.tracker = tracker
-        tracker.reset([self.character_id])
+        """Swap the tracker; it takes over at the next tick. Raises SimulationError when it cannot be reset."""
+        self.driver.swap(tracker)
 
-    def set_reference(self, start_tick: int, positions_w_m: npt.NDArray[np.floating], fps: int = PLANNER_FPS) -> None:
+    def set_reference(
+        self, start_tick: int, positions_w_m: npt.NDArray[np.floating], fps: int = PLANNER_FPS, may_be_low: bool = False
+    ) -> None:
         """Put a plan (T, 22, 3) in: frame i is at start_tick / 30 + (i + 1) / fps s.
 
         Rotations are not taken: they come from the positions by the same inverse kinematics everywhere (DESIGN 2).
         """
-        self.reference = self.prepared_reference(start_tick, positions_w_m, fps)
+        self.enter(start_tick, self.prepared_reference(start_tick, positions_w_m, fps), may_be_low)
+
+    def enter(self, start_tick: int, reference: ReferenceBuffer, may_be_low: bool) -> None:
+        """Follow a prepared reference; from start_tick on (or now) being low is a fall or none."""
+        self.reference = reference
+        begins = max(start_tick, self.tick)
+        self._low = [(tick, low) for tick, low in self._low if tick < begins][-8:] + [(begins, may_be_low)]
 
     def prepared_reference(
         self, start_tick: int, positions_w_m: npt.NDArray[np.floating], fps: int = PLANNER_FPS
@@ -107,32 +147,30 @@ class SimulatedCharacter:
         reference.insert(start_tick, positions, self.tick, fps)
         return reference
 
-    def set_actions(self, start_tick: int, targets_rad: npt.NDArray[np.floating]) -> None:
-        """Servo targets (A, H) for the ticks from start_tick on: row i drives the tick that ends at start_tick + i + 1.
-
-        While they last the tracker is not asked.
-        """
-        targets = np.asarray(targets_rad, dtype=np.float64)
-        hinges = len(self.human.hinges)
-        if targets.ndim != 2 or targets.shape[1] != hinges:
-            raise InvalidInputError(
-                f"the actions have shape {targets.shape}", field="actions", allowed=f"(A, {hinges})"
-            )
-        if not np.isfinite(targets).all():
-            raise InvalidInputError("the actions are not finite", field="actions", allowed="finite numbers")
-        self._actions = (start_tick, targets)
-
     def impulse(self, body: str, impulse_w_ns: tuple[float, float, float]) -> None:
         """Push one body at its centre of mass, in newton seconds; it acts in the next substep."""
         joint = self.human.skeleton.index(body)
         force = np.asarray(impulse_w_ns, dtype=np.float64) * PHYSICS_HZ
         if not np.isfinite(force).all():
             raise InvalidInputError("the impulse is not finite", field="impulse_w_ns", allowed="finite numbers")
-        self._data.xfrc_applied[self.scene.body_ids[joint], :3] += force
+        if not self.driver.shows_pose:  # nothing can push what is only shown, and no push waits for a tracker
+            self._data.xfrc_applied[self.scene.body_ids[joint], :3] += force
+
+    def set_object(
+        self,
+        name: str,
+        position_w_m: Vector = None,
+        quat_w: Vector = None,
+        linvel_w_mps: Vector = None,
+        angvel_w_radps: Vector = None,
+    ) -> None:
+        """Move an object at once, see tracker_service.simulation.objects; raises InvalidInputError."""
+        set_object(self.scene, self._data, name, position_w_m, quat_w, linvel_w_mps, angvel_w_radps)
 
     def observe(self) -> TrackerObservation:
         """State now and reference at the next ticks, for the tracker."""
-        pos, quat, lin, ang = self._body_states()
+        bodies, objects = self._states()
+        pos, quat, lin, ang = bodies
         ref = self.reference.at(self.tick + 1, PREVIEW_ROWS)
         return TrackerObservation(
             body_pos_w_m=pos,
@@ -145,11 +183,13 @@ class SimulatedCharacter:
             ref_linvel_w_mps=ref.linvel_w_mps,
             ref_quat_w=ref.quat_w,
             ref_hinge_rad=ref.hinges_rad,
+            **self._sight.of(self._data, pos, matrix_from_quat(quat[0])[:, 0], objects.pose, objects.velocity),
         )
 
     def sample(self) -> Samples:
         """The state now as one sample, arrays (1, ...): see `step`."""
-        return {name: value[None] for name, value in self._sample(self.tick).items()}
+        row = self._sample(self.tick, *self._contacts.read(self._data, forces=False))
+        return {name: value[None] for name, value in row.items()}
 
     def step(self, ticks: int) -> Samples:
         """Advance by `ticks`; the 4 x ticks samples after the present one.
@@ -159,7 +199,8 @@ class SimulatedCharacter:
             contacts (N, 4) uint8 of left heel, left toe, right heel, right toe, reference_pos_w_m (N, J, 3),
             tracking_error_m (N,) mean joint distance to the reference, fallen (N,) uint8,
             hinge_pos_rad, hinge_vel_radps, servo_target_rad (N, H), object_pose_w (N, O, 7) position and quaternion,
-            object_vel_w (N, O, 6) linear and angular velocity.
+            object_vel_w (N, O, 6) linear and angular velocity, contact_impulse_ns (N, J, 1 + O) normal impulses since
+            the sample before between body and floor (column 0) or object.
 
         Raises:
             SimulationError: physics produced non-finite or exploding values; the character must be reset or restored.
@@ -169,39 +210,32 @@ class SimulatedCharacter:
 
     @property
     def fallen(self) -> bool:
-        """DESIGN 2: on the floor for 0.3 s while the reference is not."""
+        """DESIGN 2: low or on the floor for 0.3 s, where that was not asked for."""
         return self._fall.fallen
 
     def _step_tick(self) -> list[Samples]:
         rows = []
-        pose_only = self.tracker.spec.drives == "pose"
-        if not pose_only:
-            self._data.ctrl[:] = self._targets()
+        if not self.driver.shows_pose:
+            self._data.ctrl[:] = self.driver.targets(self.tick, self.observe)
+        pose_only = self.driver.shows_pose
         for substep in range(1, SUBSTEPS + 1):
             if pose_only:
                 self._pose(substep / SUBSTEPS)
             else:
                 mujoco.mj_step(self.scene.model, self._data)
-                self._data.xfrc_applied[:] = 0.0
+            self._data.xfrc_applied[:] = 0.0
+            touching, impulses = self._contacts.read(self._data, forces=not pose_only)
             if substep == SUBSTEPS:
-                self._end_tick()
-            rows.append(self._sample(self.tick if substep == SUBSTEPS else self.tick + substep / SUBSTEPS))
+                self._end_tick(touching)
+            tick = self.tick if substep == SUBSTEPS else self.tick + substep / SUBSTEPS
+            rows.append(self._sample(tick, touching, impulses))
         return rows
 
-    def _end_tick(self) -> None:
+    def _end_tick(self, touching: npt.NDArray[np.bool_]) -> None:
         self.tick += 1
         self._check()
-        self._fall.update(self._data, floor_touch(self.scene, self._data), self.reference.at(self.tick).pos_w_m[0])
-
-    def _targets(self) -> Array:
-        start, chunk = self._actions
-        if start <= self.tick < start + len(chunk):
-            targets = chunk[self.tick - start]
-        else:
-            targets = np.asarray(self.tracker.act([self.character_id], [self.observe()])[0], dtype=np.float64)
-        if not np.isfinite(targets).all():
-            raise SimulationError(f"tracker {self.tracker.spec.name!r} gave non-finite targets at tick {self.tick}")
-        return np.asarray(np.clip(targets, self.human.hinges.lower, self.human.hinges.upper))
+        may_be_low = next((low for tick, low in reversed(self._low) if tick < self.tick), False)
+        self._fall.update(self._data, touching, may_be_low)
 
     def _pose(self, phase: float) -> None:
         """Show the reference between this tick and the next, without physics; objects rest."""
@@ -213,6 +247,7 @@ class SimulatedCharacter:
         mujoco.mj_differentiatePos(model, step, 1.0 / TICK_HZ, here, there)
         mujoco.mj_integratePos(model, here, step, phase / TICK_HZ)
         data.qpos[:], data.qvel[:] = here, step
+        data.ctrl[:] = here[7 : self._hinge_end]
         data.time += 1.0 / PHYSICS_HZ
         mujoco.mj_forward(model, data)
 
@@ -222,43 +257,41 @@ class SimulatedCharacter:
         if not finite or np.abs(data.qvel[:3]).max() > EXPLODED_MPS:
             raise SimulationError(f"physics exploded at tick {self.tick}")
 
-    def _body_states(self) -> tuple[Array, Array, Array, Array]:
-        """Positions (J, 3), quaternions (J, 4), linear and angular velocities (J, 3) of the bodies' frames, world."""
-        model, data = self.scene.model, self._data
+    def _states(self) -> tuple[States, States]:
+        """Frames of the bodies (J) and of the objects (O)."""
+        model, data, ids = self.scene.model, self._data, self._frames
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
-        return self._states_of(self.scene.body_ids)
-
-    def _states_of(self, ids: npt.NDArray[np.integer]) -> tuple[Array, Array, Array, Array]:
-        model, data = self.scene.model, self._data
         pos = data.xpos[ids]
         spin = data.cvel[ids, :3]
         arm = pos - data.subtree_com[model.body_rootid[ids]]
-        return pos, data.xquat[ids], data.cvel[ids, 3:] + np.cross(spin, arm), spin
+        whole = pos, data.xquat[ids], data.cvel[ids, 3:] + cross(spin, arm), spin
+        bodies = len(self.scene.body_ids)
+        return States(*(part[:bodies] for part in whole)), States(*(part[bodies:] for part in whole))
 
-    def _sample(self, tick: float) -> Samples:
-        pos, quat, lin, ang = self._body_states()
+    def _sample(self, tick: float, touching: npt.NDArray[np.bool_], impulses: Array) -> Samples:
+        bodies, objects = self._states()
+        pos, quat, lin, ang = bodies
         whole = int(tick)
         ref = self.reference.at(whole, 2).pos_w_m
         target = ref[0] + (tick - whole) * (ref[1] - ref[0])
         data = self._data
-        object_pos, object_quat, object_lin, object_ang = self._states_of(self.scene.object_ids)
-        touching = floor_touch(self.scene, data, floor_only=False)
         return {
             "body_pos_w_m": pos,
             "body_quat_w": quat,
             "body_linvel_w_mps": lin,
             "body_angvel_w_radps": ang,
-            "contacts": touching[self._feet].astype(np.uint8),
+            "contacts": touching[self._feet].any(axis=-1).astype(np.uint8),
             "reference_pos_w_m": target,
             "tracking_error_m": np.array(np.linalg.norm(pos - target, axis=-1).mean()),
             "fallen": np.array(self._fall.fallen, dtype=np.uint8),
             "hinge_pos_rad": data.qpos[7 : self._hinge_end].copy(),
             "hinge_vel_radps": data.qvel[6 : self._hinge_end - 1].copy(),
             "servo_target_rad": data.ctrl.copy(),
-            "object_pose_w": np.concatenate([object_pos, object_quat], axis=-1),
-            "object_vel_w": np.concatenate([object_lin, object_ang], axis=-1),
+            "object_pose_w": objects.pose,
+            "object_vel_w": objects.velocity,
+            "contact_impulse_ns": impulses,
         }
 
     def snapshot(self) -> tuple[dict[str, Any], Array, npt.NDArray[np.uint8]]:
@@ -267,14 +300,15 @@ class SimulatedCharacter:
         mujoco.mj_getState(self.scene.model, self._data, state, _STATE)
         arrays = {f"ref_{name}": array for name, array in self.reference.to_arrays().items()}
         out = io.BytesIO()
-        np.savez(out, actions=self._actions[1], **arrays)  # type: ignore[arg-type]
+        np.savez(out, **self.driver.to_arrays(), **arrays)  # type: ignore[arg-type]
         meta = {
             "tick": self.tick,
             "scene": self.scene.scene.name,
+            "scene_document": self.scene.scene.model_dump(mode="json"),
             "character": self.human.character.name,
             "tracker": self.tracker.spec.name,
-            "actions_start": self._actions[0],
             "down_ticks": self._fall.down_ticks,
+            "low": self._low,
         }
         return meta, state, np.frombuffer(out.getvalue(), dtype=np.uint8).copy()
 
@@ -296,10 +330,11 @@ class SimulatedCharacter:
             reference = self.reference.copy()
             reference.from_arrays({name[4:]: arrays[name] for name in arrays if name.startswith("ref_")})
             self.reference = reference
-            self._actions = (int(meta["actions_start"]), np.asarray(arrays["actions"], dtype=np.float64))
+            self.driver.from_arrays(arrays)
             self.tick = int(meta["tick"])
             self._fall.down_ticks = int(meta["down_ticks"])
-        except (KeyError, ValueError, OSError) as error:
+            self._low = [(int(tick), bool(low)) for tick, low in meta["low"]]
+        except (KeyError, ValueError, TypeError, OSError) as error:
             raise InvalidInputError(f"the snapshot is damaged: {error}", field="buffers") from error
         mujoco.mj_setState(self.scene.model, self._data, np.ascontiguousarray(state, dtype=np.float64), _STATE)
         # Contacts are not part of the state; forward finds them again, then the warm start is put back.

@@ -1,4 +1,4 @@
-"""When a character counts as fallen (DESIGN 2), and which of its bodies touch something."""
+"""When a character counts as fallen (DESIGN 2)."""
 
 from __future__ import annotations
 
@@ -6,43 +6,34 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from tracker_service.simulation.contacts import FLOOR_COLUMN
 from tracker_service.simulation.humanoid import TRUNK
 from tracker_service.simulation.scene import SceneModel
-
-Array = npt.NDArray[np.float64]
+from tracker_service.simulation.surroundings import Heights
 
 FALL_TICKS = 9
 """0.3 s at 30 Hz."""
-LYING_TRUNK_M = 0.17
-"""A reference whose trunk or head comes this close to the floor means to lie or sit on it."""
-
-
-def floor_touch(scene: SceneModel, data: mujoco.MjData, floor_only: bool = True) -> npt.NDArray[np.bool_]:
-    """(J,) which bodies touch the floor (or anything), as of the last physics step."""
-    model = scene.model
-    touching = np.zeros(model.nbody, dtype=bool)
-    pairs = np.asarray(data.contact.geom).reshape(-1, 2)
-    bodies = model.geom_bodyid[pairs]
-    if floor_only:
-        bodies = bodies[(bodies == 0).any(axis=1)]
-    touching[bodies.ravel()] = True
-    return np.asarray(touching[scene.body_ids])
 
 
 class FallDetector:
-    """Counts ticks on the floor: head below half its standing height, or pelvis, trunk or head on the floor, while the
-    reference does neither; fallen after 0.3 s of that, and no longer as soon as it ends.
+    """Counts ticks on the floor: head below half its standing height over the floor, or pelvis, trunk or head on the
+    floor; fallen after 0.3 s of that, and no longer as soon as it ends.
+
+    The floor is the ground plane and whatever a scene calls ground; a seat is not. Where task or text ask for being low
+    nothing counts; what the reference does excuses nothing.
 
     Attributes:
         down_ticks: consecutive ticks down.
     """
 
-    def __init__(self, scene: SceneModel):
+    def __init__(self, scene: SceneModel, heights: Heights):
         skeleton = scene.human.skeleton
         self._head_id = scene.body_ids[skeleton.index("head")]
-        self._head = skeleton.index("head")
         self._trunk = skeleton.indices(*TRUNK)
-        self._low_head_m = 0.5 * float(skeleton.rest_positions_m[self._head, 2])
+        self._low_head_m = 0.5 * float(skeleton.rest_positions_m[skeleton.index("head"), 2])
+        ground = [1 + o for o, name in enumerate(scene.object_names) if scene.body_of(name).ground]
+        self._floor = np.array([FLOOR_COLUMN, *ground])
+        self._heights = heights
         self.down_ticks = 0
 
     @property
@@ -50,10 +41,9 @@ class FallDetector:
         """Down for 0.3 s or more."""
         return self.down_ticks >= FALL_TICKS
 
-    def update(self, data: mujoco.MjData, touching: npt.NDArray[np.bool_], reference_pos_w_m: Array) -> None:
-        """Count one tick. touching (J,) by the floor; reference_pos_w_m (J, 3) at this tick."""
-        down = data.xpos[self._head_id, 2] < self._low_head_m or bool(touching[self._trunk].any())
-        meant = reference_pos_w_m[self._head, 2] < self._low_head_m or bool(
-            (reference_pos_w_m[self._trunk, 2] < LYING_TRUNK_M).any()
-        )
-        self.down_ticks = self.down_ticks + 1 if down and not meant else 0
+    def update(self, data: mujoco.MjData, touching: npt.NDArray[np.bool_], may_be_low: bool) -> None:
+        """Count one tick. touching (J, 1 + O): what touches what."""
+        head = data.xpos[self._head_id]
+        low = head[2] - self._heights.ground_m(data, head) < self._low_head_m
+        down = low or bool(touching[np.ix_(self._trunk, self._floor)].any())
+        self.down_ticks = self.down_ticks + 1 if down and not may_be_low else 0

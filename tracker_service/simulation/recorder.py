@@ -134,6 +134,21 @@ class Recorder:
         template = parts[-1]
         return {name: np.concatenate([_fit(part[name], template[name]) for part in parts]) for name in template}
 
+    def read_sums(self, name: str, start: int, stop: int, stride: int) -> AnyArray:
+        """One array as `read` gives its rows, but each the sum over the `stride` samples up to and with its own.
+
+        Raises:
+            InvalidInputError, RecordingLostError: as `read`.
+        """
+        rows = range(start, stop, stride)
+        if len(rows) == 0 or stride == 1:
+            return self.read(start, stop, stride)[name]
+        first = rows[0] - stride + 1
+        every = self.read(first, rows[-1] + 1)[name]
+        # Times before the first sample read as that sample, which must count once.
+        every = np.where(_column(np.arange(first, rows[-1] + 1) >= self.first_sample, every), every, 0)
+        return np.asarray(every.reshape(len(rows), stride, *every.shape[1:]).sum(axis=1))
+
     def truncate(self, next_sample: int) -> None:
         """Forget the samples from `next_sample` on (a restore to an earlier tick continues from there)."""
         with self._lock:
@@ -237,6 +252,11 @@ def _fit(rows: AnyArray, template: AnyArray) -> AnyArray:
     overlap = tuple(slice(0, min(a, b)) for a, b in zip(rows.shape[1:], template.shape[1:], strict=True))
     out[(slice(None), *overlap)] = rows[(slice(None), *overlap)]
     return out
+
+
+def _column(mask: npt.NDArray[np.bool_], like: AnyArray) -> npt.NDArray[np.bool_]:
+    """A mask (N,) shaped to go with rows (N, ...)."""
+    return mask.reshape(-1, *[1] * (like.ndim - 1))
 
 
 def _discard(chunk: _Chunk) -> None:

@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from shared.scenes.schema import Scene
+from shared.errors import InvalidInputError
+from shared.scenes.schema import Scene, SceneBody
 from tracker_service.simulation.humanoid import Humanoid, body_ids, humanoid_spec
 from tracker_service.simulation.scene_objects import FLOOR_BIT, OBJECT_PREFIX, add_object
 
@@ -29,6 +30,14 @@ class SceneModel:
     body_ids: npt.NDArray[np.int64]
     object_names: tuple[str, ...]
     object_ids: npt.NDArray[np.int64]
+
+    def body_of(self, name: str) -> SceneBody:
+        """The scene's body of that name; raises InvalidInputError listing the names."""
+        body = self.scene.body(name)
+        if body is None:
+            known = ", ".join(self.object_names) or "none, the scene is empty"
+            raise InvalidInputError(f"unknown object {name!r}", field="name", allowed=known)
+        return body
 
 
 def build_scene(human: Humanoid, scene: Scene) -> SceneModel:

@@ -19,8 +19,10 @@ from shared.scenes.schema import Part, SceneBody
 from tracker_service.simulation.humanoid import BODY_BIT, WORLD_BIT
 
 OBJECT_PREFIX = "object_"
-OBJECT_BIT, FLOOR_BIT = 4, 8
-"""Contact bits beside WORLD_BIT and BODY_BIT: objects among themselves, and what meets the floor alone."""
+OBJECT_BIT, FLOOR_BIT = 32, 64
+"""Contact bits beside those of the humanoid: objects among themselves, and what meets the floor alone."""
+FIXED_GROUP, GROUND_GROUP = 3, 4
+"""Geom groups that rays for heights see: seats and the like, and what counts as floor."""
 RIM_SPHERES = 16
 RIM_RADIUS_M = 0.005
 _SHAPES = {
@@ -35,7 +37,8 @@ _TRUE = mujoco.mjtLimited.mjLIMITED_TRUE
 def add_object(spec: mujoco.MjSpec, item: SceneBody) -> None:
     """Add a body with its joint and its geoms; it collides with the humanoid, the floor and other objects."""
     pose, name = pose_of(item), OBJECT_PREFIX + item.name
-    body = spec.worldbody.add_body(name=name, pos=pose[:3], quat=pose[3:])
+    # A fixed body is MuJoCo's mocap body: it has a pose in each character's own data, so that SetObject can move it.
+    body = spec.worldbody.add_body(name=name, pos=pose[:3], quat=pose[3:], mocap=item.motion == "fixed")
     if item.motion == "free":
         body.add_freejoint(name=name)
     elif item.hinge is not None:
@@ -54,14 +57,18 @@ def add_object(spec: mujoco.MjSpec, item: SceneBody) -> None:
             "condim": 3 if rolling is None else 6,
         }
         mass = {} if masses is None else {"mass": masses[number]}
+        group = 0
         contype = conaffinity = WORLD_BIT | BODY_BIT | OBJECT_BIT
-        if part.shape == "cylinder" and item.motion != "fixed":
+        if item.motion == "fixed":
+            group = GROUND_GROUP if item.ground else FIXED_GROUP
+            contype, conaffinity = WORLD_BIT | OBJECT_BIT, 0  # meets what moves, not the floor nor its like
+        elif part.shape == "cylinder":
             contype, conaffinity = WORLD_BIT | OBJECT_BIT, OBJECT_BIT
             _add_rims(body, part, surface)
         body.add_geom(
             name=f"{name}_{number}", type=_SHAPES[part.shape], size=[*part.size_m, 0.0, 0.0][:3],
             pos=list(part.position_b_m), quat=list(part.quat_b), contype=contype, conaffinity=conaffinity,
-            **surface, **mass,
+            group=group, **surface, **mass,
         )  # fmt: skip
 
 
