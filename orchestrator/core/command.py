@@ -11,14 +11,16 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
 from shared.errors import InvalidInputError
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import TICK_HZ, HeadingTarget, JointTarget
-from shared.tasks.builtin import STAND_TEXT, TRAJ, ReachTask
-from shared.tasks.interface import BodyView, PlanGoal
+from shared.tasks.approach import TRAJ, Approach
+from shared.tasks.builtin import STAND_TEXT, ReachTask
+from shared.tasks.interface import BodyView, Obstacle, PlanGoal
 from shared.tasks.specs import MAX_TARGET_DISTANCE_M, Coordinate, Guidance, ReachSpec, ReachTuning, Text
 
 JOINTS = (*CANONICAL.names, TRAJ)
 HEADING_S = 1.5
 VELOCITY_AHEAD_S = 1.0
 MAX_SPEED_MPS = 8.0
+Speed = Annotated[FiniteFloat, Field(ge=-MAX_SPEED_MPS, le=MAX_SPEED_MPS)]
 
 
 def _known_joint(joint: str) -> str:
@@ -55,15 +57,29 @@ class Keyframe(_Model):
         return value
 
 
+class Avoid(_Model):
+    """A sphere to keep away from: where it is at the command, and how it moves."""
+
+    position_m: tuple[Coordinate, Coordinate, Coordinate]
+    velocity_mps: tuple[Speed, Speed, Speed] = (0.0, 0.0, 0.0)
+    radius_m: Annotated[FiniteFloat, Field(gt=0, le=20)]
+
+    def at(self, seconds: float) -> Obstacle:
+        """Where it is so long after the command."""
+        x, y, z = (p + v * seconds for p, v in zip(self.position_m, self.velocity_mps, strict=True))
+        return Obstacle((x, y, z), self.velocity_mps, self.radius_m)
+
+
 class Command(_Model):
     """What a character should do from now on; it holds until the next command.
 
     Attributes:
         text: in words; None with a target walks there.
         target: where a joint should go.
-        heading_rad: which way to face, 0 along +X, anticlockwise.
+        heading_rad: which way to face, 0 along +X, anticlockwise; with a velocity all along.
         velocity_mps: (x, y) in the world.
         keyframes: poses to pass through.
+        avoid: what to keep away from.
         guidance: how strongly the text counts (classifier-free guidance); None for the planner's default.
         replan: `now` plans at once, `next` with the next regular plan.
     """
@@ -71,14 +87,9 @@ class Command(_Model):
     text: Text | None = None
     target: Target | None = None
     heading_rad: Annotated[FiniteFloat, Field(ge=-100, le=100)] | None = None
-    velocity_mps: (
-        tuple[
-            Annotated[FiniteFloat, Field(ge=-MAX_SPEED_MPS, le=MAX_SPEED_MPS)],
-            Annotated[FiniteFloat, Field(ge=-MAX_SPEED_MPS, le=MAX_SPEED_MPS)],
-        ]
-        | None
-    ) = None
+    velocity_mps: tuple[Speed, Speed] | None = None
     keyframes: Annotated[list[Keyframe], Field(max_length=64)] = []
+    avoid: Annotated[list[Avoid], Field(max_length=64)] = []
     guidance: Guidance | None = None
     replan: Literal["now", "next"] = "now"
 
@@ -106,8 +117,8 @@ class CommandGoal:
         self.command = command
         self._issued_tick = issued_tick
         self._tuning = tuning or ReachTuning()
-        self._arrival_tick: int | None = None
         self._walk: ReachTask | None = None
+        self._approach: Approach | None = None
 
     def __call__(self, view: BodyView, plan_tick: int) -> PlanGoal:
         """The goal of a plan that starts at `plan_tick`."""
@@ -140,6 +151,8 @@ class CommandGoal:
             targets=targets,
             heading=heading,
             desired_velocity_w_mps=velocity,
+            facing_rad=command.heading_rad if velocity is not None else None,
+            obstacles=tuple(sphere.at((plan_tick - self._issued_tick) / TICK_HZ) for sphere in command.avoid),
             keyframe_ticks=tuple(tick for tick, _, _ in frames),
             keyframe_joints=tuple(joints for _, joints, _ in frames),
             keyframe_positions_w_m=tuple(places for _, _, places in frames),
@@ -161,19 +174,7 @@ class CommandGoal:
         target = self.command.target
         if target is None:
             return ()
-        goal = np.array(target.position_m)
+        if self._approach is None:
+            self._approach = Approach(target.joint, self._tuning)
         here = view.pos_w_m[CANONICAL.index(target.joint)]
-        away = goal - here
-        distance = float(np.linalg.norm(away))
-        point = goal if distance <= self._tuning.step_m else here + away * (self._tuning.step_m / distance)
-        seconds = min(float(np.linalg.norm(point - here)) / self._tuning.speed_mps, 2.0)
-        least = plan_tick + round(self._tuning.least_arrival_s * TICK_HZ)
-        arrival = max(least, plan_tick + round(seconds * TICK_HZ))
-        if distance > self._tuning.step_m:
-            self._arrival_tick = None
-        else:
-            # Fixed when the goal comes within reach: it counts down across plans, so that the joint does arrive.
-            self._arrival_tick = arrival if self._arrival_tick is None else max(self._arrival_tick, least)
-            arrival = self._arrival_tick
-        place = (float(point[0]), float(point[1]), float(point[2]))
-        return (JointTarget(joint=target.joint, position_w_m=place, arrival_tick=arrival),)
+        return (self._approach.target(here, np.array(target.position_m), plan_tick, view.scale),)

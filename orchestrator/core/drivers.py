@@ -8,7 +8,7 @@ import time
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from orchestrator.core.loop import CharacterLoop, GoalSource, PlanTiming, view_of
+from orchestrator.core.loop import CharacterLoop, GoalSource, PlanTiming, timing_of, view_of
 from orchestrator.core.pacing import PlanPacer
 from shared.errors import MotionLoopError, SimulationError, TransportError
 from shared.protocol.messages import TICK_HZ, Plan, StateFrame
@@ -131,12 +131,7 @@ class LockstepDriver:
                 if reply.accepted:
                     self._pacer.entered(start_tick, period)
                 total_ms = (time.perf_counter() - began) * 1e3
-                plans.append(
-                    PlanTiming(
-                        self._loop.plans_made - 1, start_tick, reply.accepted, reply.entered_tick, total_ms,
-                        goal.text, reply.reason,
-                    )
-                )  # fmt: skip
+                plans.append(timing_of(plan, self._loop.plans_made - 1, reply, total_ms, goal.text))
             self._next_plan_tick = tick + period
         ticks = max(min(self._next_plan_tick - tick, settings.replan_ticks), spacing - tick % spacing)
         ticks = ticks if max_ticks is None else max(1, min(ticks, max_ticks))
@@ -257,9 +252,4 @@ class RealtimeDriver:
             self._pacer.entered(plan.start_tick, request.period_ticks)
         else:
             self._next_plan_tick = self._state.tick
-        return [
-            PlanTiming(
-                self._loop.plans_made - 1, plan.start_tick, reply.accepted, reply.entered_tick, total_ms,
-                request.text, reply.reason,
-            )
-        ]  # fmt: skip
+        return [timing_of(plan, self._loop.plans_made - 1, reply, total_ms, request.text)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -57,7 +57,13 @@ def plan_seed(seed: int, index: int) -> int:
 
 @dataclass(frozen=True)
 class PlanTiming:
-    """One plan as it came: for events and measurements."""
+    """One plan as it came: for events and measurements.
+
+    Attributes:
+        index: counts the character's plans. start_tick, accepted, entered_tick, reason: what the tracker made of it.
+        total_ms: from the request to the tracker's reply. parts_ms: what the planner says of its share.
+        text: as asked for; understood, nearest, ignored, guidance: as in the plan.
+    """
 
     index: int
     start_tick: int
@@ -66,6 +72,29 @@ class PlanTiming:
     total_ms: float
     text: str | None
     reason: str | None = None
+    ignored: tuple[str, ...] = ()
+    understood: str | None = None
+    nearest: str | None = None
+    guidance: float | None = None
+    parts_ms: dict[str, float] = field(default_factory=dict)
+
+
+def timing_of(plan: Plan, index: int, reply: TrackReply, total_ms: float, text: str | None) -> PlanTiming:
+    """What is told of a plan that the tracker has answered."""
+    return PlanTiming(
+        index,
+        plan.start_tick,
+        reply.accepted,
+        reply.entered_tick,
+        total_ms,
+        text,
+        reply.reason,
+        tuple(plan.ignored_conditions),
+        plan.understood,
+        plan.nearest,
+        plan.guidance,
+        {name: round(ms, 3) for name, ms in plan.timings_ms.items()},
+    )
 
 
 def view_of(state: StateFrame) -> BodyView:
@@ -251,10 +280,12 @@ class CharacterLoop:
                 "targets": list(goal.targets),
                 "heading": goal.heading,
                 "desired_velocity_w_mps": goal.desired_velocity_w_mps,
+                "facing_rad": goal.facing_rad,
                 "guidance": guidance,
                 "horizon_frames": self._horizon_frames(spec),
                 "seed": plan_seed(self._seed, self.plans_made),
                 **keyframe_arrays(goal),
+                **obstacle_arrays(goal),
             }
         )
 
@@ -310,3 +341,14 @@ def keyframe_arrays(goal: PlanGoal) -> dict[str, np.ndarray]:
             positions[k, CANONICAL.index(name)] = place
     ticks = np.array(goal.keyframe_ticks, "<i8")
     return {"keyframe_ticks": ticks, "keyframe_mask": mask, "keyframe_positions_w_m": positions}
+
+
+def obstacle_arrays(goal: PlanGoal) -> dict[str, np.ndarray]:
+    """Obstacles of a goal as the arrays of a PlanRequest; empty when there are none."""
+    if not goal.obstacles:
+        return {}
+    return {
+        "obstacle_pos_w_m": np.array([each.position_w_m for each in goal.obstacles], "<f4"),
+        "obstacle_linvel_w_mps": np.array([each.velocity_w_mps for each in goal.obstacles], "<f4"),
+        "obstacle_radius_m": np.array([each.radius_m for each in goal.obstacles], "<f4"),
+    }

@@ -11,6 +11,7 @@ from shared.errors import ConflictError
 from shared.motion.rotations import wrap_angle
 from shared.protocol.messages import TICK_HZ, HeadingTarget, JointTarget
 from shared.tasks import rules
+from shared.tasks.approach import TRAJ, Approach
 from shared.tasks.interface import BodyView, PlanGoal, Status, Trace, Verdict
 from shared.tasks.obey import kind_of, obeyed
 from shared.tasks.specs import HaltSpec, ReachSpec, ReachTuning, TextSpec
@@ -18,20 +19,12 @@ from shared.tasks.specs import HaltSpec, ReachSpec, ReachTuning, TextSpec
 Array = npt.NDArray[np.float64]
 
 STAND_TEXT = "a person is standing still."
-TRAJ = "traj"
 TURN_RADPS = 1.6
 """Natural speed of turning on the spot."""
 SLOW_MPS = 0.25
 """Slower than this, a body that was told to halt has come to rest."""
 HOLD_TICKS = 30
 """How far ahead a standing body's spot is set as target."""
-
-
-def stepped_target(from_xy_m: Array, goal_xy_m: Array, most_m: float) -> Array:
-    """(2,) the goal, or the point `most_m` toward it where it is farther (REFERENCE 3)."""
-    away = goal_xy_m - from_xy_m
-    distance = float(np.linalg.norm(away))
-    return goal_xy_m if distance <= most_m else from_xy_m + away * (most_m / distance)
 
 
 class ReachTask:
@@ -44,7 +37,7 @@ class ReachTask:
         self._tuning: ReachTuning = spec.tuning
         self._rng = np.random.default_rng(seed)
         self._goal: Array | None = None
-        self._arrival_tick: int | None = None
+        self._approach = Approach(TRAJ, spec.tuning)
         self._near_since: int | None = None
         self._corrections = 0
         self._turning = False
@@ -86,13 +79,11 @@ class ReachTask:
                 distance, bearing = self._rng.uniform(*spec.random_distance_m), self._rng.uniform(-pi, pi)
             angle = view.heading_rad + bearing
             self._goal = view.pelvis_xy_m + distance * np.array([cos(angle), sin(angle)])
-        self._arrival_tick, self._near_since, self._turning, self._corrections = None, None, False, 0
+        self._approach.forget()
+        self._near_since, self._turning, self._corrections = None, False, 0
 
     def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
-        """Target at most `step_m` ahead, reached at a natural speed; a turn first, standing once it is close.
-
-        The arrival tick of the last step is fixed when the goal comes within one step, and counts down from then on.
-        """
+        """Target at most `step_m` ahead, reached at a natural speed; a turn first, standing once it is close."""
         tuning, goal = self._tuning, self.goal_xy_m
         away = goal - view.pelvis_xy_m
         distance = float(np.linalg.norm(away))
@@ -100,18 +91,10 @@ class ReachTask:
         bearing = float(wrap_angle(atan2(away[1], away[0]) - view.heading_rad))
         self._turning = abs(bearing) > (tuning.turn_to_rad if self._turning else tuning.turn_from_rad)
         if self._turning and not near:
-            self._arrival_tick = None
+            self._approach.forget()
             return self._turn(view, plan_tick, bearing)
-        point = stepped_target(view.pelvis_xy_m, goal, tuning.step_m)
-        seconds = float(np.linalg.norm(point - view.pelvis_xy_m)) / tuning.speed_mps
-        arrival = plan_tick + round(min(max(seconds, tuning.least_arrival_s), 2.0) * TICK_HZ)
-        if distance > tuning.step_m:
-            self._arrival_tick = None
-        else:
-            if self._arrival_tick is None or self._arrival_tick < plan_tick + tuning.least_arrival_s * TICK_HZ:
-                self._arrival_tick = arrival
-            arrival = self._arrival_tick
-        target = JointTarget(joint=TRAJ, position_w_m=(float(point[0]), float(point[1]), 0.0), arrival_tick=arrival)
+        target = self._approach.target(view.pelvis_xy_m, goal, plan_tick, view.scale)
+        arrival = target.arrival_tick
         if near:
             if self._stand_heading_rad is None:
                 self._stand_heading_rad = view.heading_rad

@@ -31,11 +31,13 @@ def heading_from_positions(pos_w_m: npt.ArrayLike) -> Array:
 
 @dataclass(frozen=True)
 class BodyView:
-    """The character at a tick: (22, 3) joint positions in the world, and whether it has fallen."""
+    """The character at a tick: (22, 3) joint positions in the world, whether it has fallen, and its size against the
+    canonical body's."""
 
     tick: int
     pos_w_m: Array
     fallen: bool = False
+    scale: float = 1.0
 
     @property
     def pelvis_xy_m(self) -> Array:
@@ -49,13 +51,31 @@ class BodyView:
 
 
 @dataclass(frozen=True)
+class Obstacle:
+    """A sphere to keep away from: where it is when the plan starts, how it moves, how large it is."""
+
+    position_w_m: tuple[float, float, float]
+    velocity_w_mps: tuple[float, float, float]
+    radius_m: float
+
+
+@dataclass(frozen=True)
 class PlanGoal:
-    """What the planner is asked for. Every part is optional; `guidance` None is the planner's own default."""
+    """What the planner is asked for, in the character's own world. Every part is optional.
+
+    Attributes:
+        facing_rad: which way to face all along; `heading` holds at a tick.
+        obstacles: what to keep away from.
+        guidance: on the text; None leaves it to the loop's settings, and those to the planner: the one rule there is.
+            What was used stands in the plan.
+    """
 
     text: str | None = None
     targets: tuple[JointTarget, ...] = ()
     heading: HeadingTarget | None = None
     desired_velocity_w_mps: tuple[float, float] | None = None
+    facing_rad: float | None = None
+    obstacles: tuple[Obstacle, ...] = ()
     keyframe_ticks: tuple[int, ...] = ()
     keyframe_joints: tuple[tuple[str, ...], ...] = ()
     keyframe_positions_w_m: tuple[tuple[tuple[float, float, float], ...], ...] = ()

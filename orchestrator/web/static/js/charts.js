@@ -43,6 +43,14 @@ export function setUpCharts() {
   });
 }
 
+/** What the planner says of its share, e.g. "queue 0 ms, text 1 ms, diffusion 61 ms". */
+function partsWords(parts) {
+  return Object.entries(parts)
+    .filter(([name]) => name !== "batch")
+    .map(([name, ms]) => `${name} ${ms.toFixed(0)} ms`)
+    .join(", ");
+}
+
 function show(chart, sample) {
   if (sample === null) {
     setText(chart.value, "-");
@@ -50,6 +58,7 @@ function show(chart, sample) {
     const words = sample.toFixed(chart.digits);
     if (chart.value.firstChild?.textContent !== words) {
       chart.value.replaceChildren(words, " ", el("small", {}, chart.unit));
+      if (chart.key === "planMs") chart.value.title = partsWords(view.measured.planParts ?? {});
     }
   }
   const { context: g, width, height } = fitted(chart.canvas);

@@ -116,7 +116,7 @@ export class Session {
       update("command", { command: STAND });
       if (news) toast(`The planner refused the command: ${data.message}`);
     } else if (type === "task_begin") update("command", { task: data });
-    else if (type === "plan") view.measured.planMs = data.total_ms;
+    else if (type === "plan") Object.assign(view.measured, { planMs: data.total_ms, planParts: data.parts_ms ?? {} });
     else if (type === "swap" && news) emit("swapped", data);
     else if (type === "failed" && news) toast(data.reason);
     emit("event", event);

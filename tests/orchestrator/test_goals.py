@@ -1,0 +1,87 @@
+"""From a command or a task to what the planner is asked for: one way for targets, and what it says comes back."""
+
+from __future__ import annotations
+
+from math import pi
+
+import numpy as np
+import pytest
+
+from orchestrator.client import Client
+from orchestrator.core.command import Avoid, Command, CommandGoal, Target
+from orchestrator.core.supervise import Stack
+from shared.motion.ik import standing_clip
+from shared.motion.skeleton import CANONICAL
+from shared.tasks.approach import Approach
+from shared.tasks.builtin import ReachTask
+from shared.tasks.interface import BodyView, Obstacle
+from shared.tasks.specs import ReachSpec, ReachTuning
+
+
+def standing(tick: int = 0, x_m: float = 0.0, scale: float = 1.0) -> BodyView:
+    positions = np.asarray(standing_clip(1, 20).positions_w_m[0], dtype=np.float64) * scale + [x_m, 0.0, 0.0]
+    return BodyView(tick, positions, scale=scale)
+
+
+def test_a_way_is_cut_into_steps_and_the_last_arrival_counts_down() -> None:
+    """1 m/s, steps of 1.2 m: 3 m away the target is 1.2 m ahead in 1.2 s; from 0.9 m on it is due at one tick."""
+    way, goal = Approach("traj", ReachTuning()), np.array([3.0, 0.0])
+    far = way.target(np.array([0.0, 0.0]), goal, 0)
+    assert (far.position_w_m, far.arrival_tick) == ((1.2, 0.0, 0.0), 36)
+    assert way.target(np.array([2.1, 0.0]), goal, 63).arrival_tick == 63 + 27
+    assert way.target(np.array([2.4, 0.0]), goal, 72).arrival_tick == 63 + 27, "it counts down"
+    assert way.target(np.array([2.9, 0.0]), goal, 87).arrival_tick == 87 + 18, "never sooner than least_arrival_s"
+    way.forget()
+    assert way.target(np.array([2.4, 0.0]), goal, 72).arrival_tick == 72 + 18
+
+
+def test_steps_and_speed_grow_with_the_body() -> None:
+    target = Approach("traj", ReachTuning()).target(np.zeros(2), np.array([3.0, 0.0]), 0, body_scale=0.5)
+    assert (target.position_w_m, target.arrival_tick) == ((0.6, 0.0, 0.0), 36), "half the step in the same time"
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.7])
+def test_a_command_to_a_place_asks_what_the_task_asks(scale: float) -> None:
+    view = standing(scale=scale)
+    task = ReachTask(ReachSpec(position_m=(2.0, 0.5)), seed=0)
+    task.start(view)
+    command = CommandGoal(Command(target=Target(position_m=(2.0, 0.5, 0.0))), 0)
+    for tick, x_m in ((0, 0.0), (15, 0.6), (30, 1.2), (60, 1.9)):
+        now = standing(tick, x_m, scale)
+        assert command(now, tick) == task.goal(now, tick)
+
+
+def test_a_hand_goes_the_same_way() -> None:
+    wrist = CANONICAL.index("right_wrist")
+    view = standing()
+    goal = view.pos_w_m[wrist] + [0.3, 0.0, 0.2]
+    command = CommandGoal(Command(target=Target(joint="right_wrist", position_m=tuple(goal))), 0)
+    (target,) = command(view, 0).targets
+    assert target == Approach("right_wrist", ReachTuning()).target(view.pos_w_m[wrist], goal, 0)
+    np.testing.assert_allclose(target.position_w_m, goal)
+
+
+def test_facing_holds_all_along_where_the_way_goes_elsewhere_and_spheres_move_on() -> None:
+    sphere = Avoid(position_m=(2.0, 0.0, 1.0), velocity_mps=(-1.0, 0.0, 0.0), radius_m=0.4)
+    strafe = CommandGoal(Command(velocity_mps=(0.0, 1.0), heading_rad=pi / 2, avoid=[sphere]), 30)
+    goal = strafe(standing(30), 45)
+    assert (goal.facing_rad, goal.desired_velocity_w_mps) == (pi / 2, (0.0, 1.0))
+    assert goal.obstacles == (Obstacle((1.5, 0.0, 1.0), (-1.0, 0.0, 0.0), 0.4),), "half a second later"
+    turn = CommandGoal(Command(heading_rad=1.0), 0)(standing(), 0)
+    assert turn.facing_rad is None
+    assert turn.heading is not None
+
+
+def test_what_the_planner_says_comes_back_with_the_plan(stack: Stack) -> None:
+    """`stand` honours nothing: everything asked for is named, and the time it took by parts."""
+    with Client(stack.url) as client, client.character(pacing="lockstep", planner="stand") as character:
+        character.say(
+            "a person walks sideways.", velocity_mps=(0.5, 0.0), heading_rad=1.0,
+            avoid=[{"position_m": (2.0, 0.0, 0.0), "radius_m": 0.5}],
+        )  # fmt: skip
+        character.step(6)
+        plan = next(event.data for event in character.events(timeout_s=10) if event.type == "plan")
+    assert plan["ignored"] == ["text", "target", "heading", "velocity", "facing", "obstacles"]
+    assert plan["guidance"] is None
+    assert {"queue", "plan"} <= plan["parts_ms"].keys()
+    assert plan["total_ms"] >= plan["parts_ms"]["plan"]
