@@ -31,6 +31,7 @@ def run_demo(
     out: Path, seed: int, planner: str | None, tracker: str | None, pacing: Pacing, console: Console, film: bool = True
 ) -> bool:
     """Start the three services and run the demo; True when every task succeeded strictly. Leaves no process behind."""
+    out.mkdir(parents=True, exist_ok=True)  # before the services start: what cannot be made is told at once
     with ending_on_sigterm(), tempfile.TemporaryDirectory(prefix="motionloop-demo-") as data_dir:
         options = StackOptions(planner_plugin=planner, tracker_plugin=tracker, data_dir=data_dir)
         with Stack(options, console.print) as stack, Client(stack.url) as client:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import ipaddress
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -139,11 +140,17 @@ def closed_on_error(socket: zmq.Socket[Any], own_context: zmq.Context[Any] | Non
     """Close a socket (and its maker's own context) if setting it up fails.
 
     A context that is left to the garbage collector with an open socket blocks whoever happens to collect it.
+
+    Raises:
+        InvalidInputError: the address given to the socket is none.
     """
     try:
         yield
-    except BaseException:
+    except BaseException as error:
         socket.close(linger=0)
         if own_context is not None:
             own_context.destroy(linger=0)
+        if isinstance(error, zmq.ZMQError) and error.errno in (errno.EINVAL, errno.EPROTONOSUPPORT, errno.ENODEV):
+            allowed = "tcp://HOST:PORT or ipc://PATH"
+            raise InvalidInputError(f"no address of a service: {error}", field="endpoint", allowed=allowed) from error
         raise
