@@ -21,6 +21,7 @@ from tracker_service.training.env import EnvSettings, TrackingEnv
 from tracker_service.training.sampling import FailureTable
 from tracker_service.training.world.body import State, tensor
 from tracker_service.training.world.learner import Learner
+from tracker_service.training.world.quality import drift_mm, response_cosine
 from tracker_service.training.world.replay import Replay
 from tracker_service.training.world.settings import WorldSettings
 from tracker_service.training.world.sight import observe, servo_targets, still_tracked, tick_reward
@@ -94,6 +95,19 @@ def test_the_model_learns_what_the_simulator_does(references: ReferenceSet, tmp_
     assert np.nanmean(losses[-20:]) < 0.8 * np.nanmean(losses[:20])
 
 
+def test_the_models_quality_is_measured_against_the_simulator(references: ReferenceSet, tmp_path: Path) -> None:
+    t = trainer(references, tmp_path, TINY.model_copy(update={"model_rate": 3e-3, "model_batch": 64}))
+    t.prepare(lambda line: None, fresh_sight=True, fresh_model=True)
+    before = drift_mm(t.learner, t.replay, np.random.default_rng(0), 64)
+    blind = response_cosine(t.learner, t.env, t.replay, np.random.default_rng(0))
+    for _ in range(300):
+        t.learner.update_model(t.replay, t.rng)
+    after = drift_mm(t.learner, t.replay, np.random.default_rng(0), 64)
+    seeing = response_cosine(t.learner, t.env, t.replay, np.random.default_rng(0))
+    assert after["drift_mm_1"] < before["drift_mm_1"] < before["drift_mm_16"]
+    assert seeing["response_cosine_1"] > max(blind["response_cosine_1"], 0.2)
+
+
 def test_the_critic_explains_returns(references: ReferenceSet, tmp_path: Path) -> None:
     t = trainer(references, tmp_path)
     t.prepare(lambda line: None, fresh_sight=True, fresh_model=True)
@@ -141,9 +155,16 @@ def test_exported_weights_start_a_learner(references: ReferenceSet, tmp_path: Pa
     np.testing.assert_allclose(wider.act(more, averaged=True), fresh.act(t.observation, averaged=True), atol=1e-5)
     training_file(path).unlink()
     assert not warm_start(fresh, path)
-    other = Learner(HUMAN, references, SMALL, TINY.model_copy(update={"hidden": (8, 8)}), t.env.observation_size, 0)
-    with pytest.raises(InvalidInputError, match="another size"):
-        warm_start(other, path)
+    size = t.env.observation_size
+    larger = TINY.model_copy(update={"hidden": (24, 20), "model_hidden": (48,)})
+    grown = Learner(HUMAN, references, SMALL, larger, size, 0)
+    assert warm_start(grown, export_learner(t.learner, path, {}))
+    np.testing.assert_allclose(grown.act(t.observation), t.learner.act(t.observation, averaged=True), atol=2e-3)
+    x = torch.randn(5, len(t.learner.model.mean))
+    torch.testing.assert_close(grown.model.net(x), t.learner.model.net(x), atol=5e-3, rtol=0)
+    smaller = Learner(HUMAN, references, SMALL, TINY.model_copy(update={"hidden": (8, 8)}), size, 0)
+    with pytest.raises(InvalidInputError, match="too large"):
+        warm_start(smaller, path)
 
 
 def test_the_service_acts_as_training_does_on_a_seat_too(references: ReferenceSet, tmp_path: Path) -> None:

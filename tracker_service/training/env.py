@@ -240,6 +240,15 @@ class TrackingEnv:
         wanted = base + self.settings.action_scale_rad * np.clip(action, -1.0, 1.0)
         return np.asarray(np.clip(wanted, self.human.hinges.lower, self.human.hinges.upper), dtype=np.float64)
 
+    def roll(
+        self, state: npt.NDArray[np.float64], control: npt.NDArray[np.float64], spec: int
+    ) -> npt.NDArray[np.float64]:
+        """States (B, N, S) after each of N substeps from states (B, S), controls (B, N, C) of a `mjtState` spec."""
+        states, _ = self._rollout.rollout(
+            self.model, self._data, state, control, control_spec=spec, nstep=control.shape[1]
+        )  # fmt: skip
+        return np.asarray(states)
+
     def advance(self, action: F32) -> tuple[F32, F32, Bools]:
         """One tick of physics under actions (B, H), no resets.
 
@@ -249,11 +258,7 @@ class TrackingEnv:
         """
         s = self.settings
         control = np.concatenate([self.targets(action), mocap_of(self.references.seat[self.clip])], axis=-1)
-        states, _ = self._rollout.rollout(
-            self.model, self._data, self.state, np.repeat(control[:, None], SUBSTEPS, axis=1),
-            control_spec=CONTROL_SPEC, nstep=SUBSTEPS,
-        )  # fmt: skip
-        new = states[:, -1]
+        new = self.roll(self.state, np.repeat(control[:, None], SUBSTEPS, axis=1), CONTROL_SPEC)[:, -1]
         speed = np.abs(new[:, 1 + self._nq : 1 + self._nq + 6])
         exploded = ~np.isfinite(new).all(axis=-1) | ~(speed.max(axis=-1) < s.exploded_mps)
         self.state = np.where(exploded[:, None], self.state, new)

@@ -137,7 +137,11 @@ class Learner:
         """States (N,) at places of the ring."""
         return State.of(self._tensor(replay.qpos[index]), self._tensor(replay.qvel[index]))
 
-    def _heights(self, bodies: Bodies, seat: Tensor) -> Tensor:
+    def seats_at(self, replay: Replay, places: Places) -> Tensor:
+        """(N, 4) seats of the clips that are followed at places of the ring."""
+        return self.references.seat[self._tensor(replay.clip[places.later(0)])]
+
+    def heights_of(self, bodies: Bodies, seat: Tensor) -> Tensor:
         """(B, K) what is underfoot; without gradient, for it is flat but for its edges."""
         if not self.heights:
             return bodies.pos_w_m.new_zeros(len(seat), 0)
@@ -151,8 +155,8 @@ class Learner:
             s, n = self.state_at(replay, places.later(0)), self.state_at(replay, places.later(1))
             target = self._tensor(replay.target[places.later(0)])
             bodies = self.kinematics(s)
-            seat = self.references.seat[self._tensor(replay.clip[places.later(0)])]
-            self.model.normalize_by(s, bodies, target, self._heights(bodies, seat), n)
+            seat = self.seats_at(replay, places)
+            self.model.normalize_by(s, bodies, target, self.heights_of(bodies, seat), n)
         if sight:
             seen = self._tensor(replay.observation[places.later(0)])
             self.sight.mean.copy_(seen.mean(0))
@@ -168,12 +172,12 @@ class Learner:
         which = torch.from_numpy(rng.random(count) < s.mirrored_share).to(self.device)
         state = self.mirror.some(self.state_at(replay, places.later(0)), which)
         bodies = self.kinematics(state)
-        seat = self.mirror.some_seats(self.references.seat[self._tensor(replay.clip[places.later(0)])], which)
+        seat = self.mirror.some_seats(self.seats_at(replay, places), which)
         loss = torch.zeros((), device=self.device)
         first = 0.0
         for k in range(s.model_ticks):
             target = self.mirror.some_hinges(self._tensor(replay.target[places.later(k)]), which)
-            heights = self._heights(bodies, seat)
+            heights = self.heights_of(bodies, seat)
             state, bodies = self.imagination.model_tick(state, bodies, target, heights)
             true = self.mirror.some(self.state_at(replay, places.later(k + 1)), which)
             loss = loss + model_loss(self.model, state, true)
@@ -222,7 +226,7 @@ class Learner:
         power = torch.zeros((), device=self.device)
         for k in range(s.horizon):
             ref = self.references.at(clip, time + k, jump * env.jump_decay**k, env.jump_decay)
-            seen = self.imagination.tick(state, bodies, ref, self._heights(bodies, seat))
+            seen = self.imagination.tick(state, bodies, ref, self.heights_of(bodies, seat))
             state, bodies = seen.state, seen.bodies
             action = seen.action.clamp(-1.0, 1.0)
             reward = seen.reward - s.smoothness * ((action - previous) ** 2).mean(-1) - s.power * seen.power_kw
@@ -232,7 +236,7 @@ class Learner:
             power = power + seen.power_kw.detach().mean()
             alive = alive * still_tracked(seen.distance_m.detach(), env.stop_mean_m, env.stop_max_m)
         ref = self.references.at(clip, time + s.horizon, jump * env.jump_decay**s.horizon, env.jump_decay)
-        last = observe(state, bodies, ref, self._heights(bodies, seat))
+        last = observe(state, bodies, ref, self.heights_of(bodies, seat))
         total = total + alive * s.gamma**s.horizon * self.value(last)
         # A clip's last ticks, where the preview stands still, are never simulated: the critic knows nothing of them.
         inside = (time + s.horizon < self.references.length[clip] - TAIL_TICKS).float()

@@ -26,6 +26,7 @@ from tracker_service.training.env import EnvSettings, TrackingEnv
 from tracker_service.training.evaluate import evaluate
 from tracker_service.training.seats import HEIGHTS
 from tracker_service.training.world.learner import Learner
+from tracker_service.training.world.quality import drift_mm, response_cosine
 from tracker_service.training.world.replay import Replay
 from tracker_service.training.world.settings import WorldSettings
 
@@ -162,10 +163,15 @@ class WorldTrainer:
         self.writer.close()
 
     def judge(self) -> dict[str, Any]:
-        """Held-out clips with the averaged policy; without the list of clips."""
+        """Held-out clips with the averaged policy, without the list of clips, and the quality of the model."""
         result = evaluate(self.env.settings, self.heldout, self.human, lambda o: self.learner.act(o, averaged=True))
         del result["per_clip"]
-        return result
+        result |= drift_mm(self.learner, self.replay, self._judging_rng())
+        return result | response_cosine(self.learner, self.env, self.replay, self._judging_rng())
+
+    def _judging_rng(self) -> np.random.Generator:
+        """Judging draws nothing from the generator of training: when it happens must not change what is learnt."""
+        return np.random.default_rng(self.iteration)
 
     def _log(self, facts: dict[str, Any], say: Callable[[str], None]) -> None:
         row = {"samples": self.samples, "iteration": self.iteration, "seconds": round(self.seconds, 1), **facts}

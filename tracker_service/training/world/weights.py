@@ -83,13 +83,15 @@ def _fill(layers: dict[str, Tensor], tensors: Tensors, path: Path) -> None:
         if name not in tensors:
             raise InvalidInputError(f"{path.name} lacks {name}", field="init", allowed=", ".join(layers))
         given = torch.from_numpy(tensors[name].astype(np.float32))
-        # Inputs that came since stand at the end of what is seen and count for nothing yet.
-        if given.dim() == 2 and given.shape[0] == parameter.shape[0] and given.shape[1] < parameter.shape[1]:
-            given = torch.cat([given, torch.zeros(len(given), parameter.shape[1] - given.shape[1])], 1)
-        if given.shape != parameter.shape:
+        if given.dim() != parameter.dim() or any(g > p for g, p in zip(given.shape, parameter.shape, strict=True)):
             wanted = "x".join(str(n) for n in parameter.shape)
-            raise InvalidInputError(f"{path.name}: {name} has another size", field="init", allowed=wanted)
-        parameter.copy_(given)
+            raise InvalidInputError(f"{path.name}: {name} is too large", field="init", allowed=f"up to {wanted}")
+        # Inputs and hidden units that came since stand behind the old ones and count for nothing yet: the network does
+        # what it did, and has room to learn.
+        old = tuple(slice(n) for n in given.shape)
+        if given.dim() == 2:
+            parameter[: given.shape[0]] = 0.0
+        parameter[old] = given
 
 
 @torch.no_grad()
@@ -104,7 +106,7 @@ def warm_start(learner: Learner, actor_path: Path) -> bool:
         whether critic and model were there.
 
     Raises:
-        InvalidInputError: a file is missing, damaged, or of other sizes.
+        InvalidInputError: a file is missing, damaged, or larger than the learner's networks.
     """
     actor = _read(actor_path)
     for net in (learner.actor, learner.averaged):
