@@ -1,7 +1,7 @@
 """`motionloop eval tracker`: how well the shipped policy follows clips, recorded or held out of a corpus (DESIGN 8).
 
 `--clips DIR` takes motion files (BVH, ASF + AMC, SMPL npz; any reasonable skeleton is retargeted), `--corpus DIR` the
-held-out clips of a corpus.
+held-out clips of a corpus; `--suite` standing, pushes or seats.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy.typing as npt
 import typer
 
 from shared.console import check_output_file, errors_for_people
+from shared.data.cached import cached_corpus
 from shared.data.corpus import Corpus
 from shared.data.reading import Outcome, read_all, summary
 from shared.errors import InvalidInputError
@@ -27,13 +28,16 @@ from shared.motion.resampling import resample
 from shared.protocol.rates import TICK_HZ
 from tracker_service.policy.learned import WEIGHTS, LearnedTracker
 from tracker_service.simulation.character_spec import HUMAN
-from tracker_service.simulation.humanoid import humanoid
+from tracker_service.simulation.humanoid import Humanoid, humanoid
 from tracker_service.training.dataset import MotionInput, prepare, seat_in
 from tracker_service.training.env import EnvSettings
 from tracker_service.training.evaluate import evaluate
+from tracker_service.training.suites import SUITES, run_suite
 
 F32 = npt.NDArray[np.float32]
 LEAST_TICKS = 30
+TRACKERS = ("learned", "ppo", "pd")
+"""`ppo` is the trained policy's former name."""
 
 
 def motions_of_files(
@@ -80,20 +84,28 @@ def motions_of_corpus(folder: Path, split: str) -> list[MotionInput]:
     ]
 
 
-def evaluate_weights(motions: list[MotionInput], weights: Path | None = WEIGHTS) -> dict[str, Any]:
-    """Fields of DESIGN 8 for a policy file, or for the `pd` baseline where `weights` is None."""
-    human = humanoid(HUMAN)
-    references = prepare(human, motions)
+def policy_of(human: Humanoid, weights: Path | None) -> tuple[EnvSettings, Callable[[F32], F32]]:
+    """The environment's settings and the policy of a file, or of the `pd` baseline where `weights` is None."""
     hinges = len(human.hinges)
 
     def rest(observation: F32) -> F32:
         return np.zeros((len(observation), hinges), np.float32)
 
     if weights is None:
-        return evaluate(EnvSettings(), references, human, rest)
+        return EnvSettings(), rest
     tracker = LearnedTracker(human.damping / human.stiffness, weights)
-    settings = EnvSettings(heights=tracker.card.observation == "heights")
-    return evaluate(settings, references, human, tracker.network)
+    return EnvSettings(heights=tracker.card.observation == "heights"), tracker.network
+
+
+def evaluate_weights(motions: list[MotionInput], weights: Path | None = WEIGHTS) -> dict[str, Any]:
+    """Fields of DESIGN 8 for a policy file, or for the `pd` baseline where `weights` is None."""
+    human = humanoid(HUMAN)
+    settings, policy = policy_of(human, weights)
+    return evaluate(settings, prepare(human, motions), human, policy)
+
+
+def _told(stage: str, share: float) -> None:
+    typer.echo(f"building the corpus: {stage} {100 * share:.0f} %", err=True)
 
 
 app = typer.Typer(add_completion=False)
@@ -103,8 +115,9 @@ app = typer.Typer(add_completion=False)
 def main(
     clips: Annotated[Path | None, typer.Option(help="file or folder of motion files")] = None,
     corpus: Annotated[Path | None, typer.Option(help="corpus whose held-out clips are followed")] = None,
+    suite: Annotated[str | None, typer.Option(help=f"in place of clips: {', '.join(SUITES)}")] = None,
     weights: Annotated[Path, typer.Option(help="policy to judge")] = WEIGHTS,
-    tracker: Annotated[str, typer.Option(help="ppo, or pd for the baseline")] = "ppo",
+    tracker: Annotated[str, typer.Option(help="learned, or pd for the baseline")] = "learned",
     json_file: Annotated[Path | None, typer.Option("--json", help="where to write the result")] = None,
     seed: Annotated[int, typer.Option(help="noted in the result; the evaluation has no randomness")] = 0,
     fps: Annotated[float | None, typer.Option(help="frames per second of the files, in place of what they say")] = None,
@@ -113,10 +126,10 @@ def main(
     joints: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON of our joint names to the files'")] = None,
 ) -> None:
     """Follow every clip once and report success, errors and falls by behaviour; exit code 1 if a file is unreadable."""
-    if (clips is None) == (corpus is None):
-        raise typer.BadParameter("give either --clips or --corpus")
-    if tracker not in ("ppo", "pd"):
-        raise typer.BadParameter(f"unknown tracker {tracker!r}; known: ppo, pd")
+    if (clips is None) == (corpus is None) and (suite is None or clips is not None):
+        raise typer.BadParameter("give either --clips or --corpus, or --suite")
+    if tracker not in TRACKERS:
+        raise typer.BadParameter(f"unknown tracker {tracker!r}; known: {', '.join(TRACKERS)}")
     check_output_file(json_file)
     made_with = {"tracker": tracker, "weights": str(weights), "seed": seed}
     made_with["machine"] = f"{platform.machine()} {platform.system()} {platform.release()}"
@@ -125,6 +138,14 @@ def main(
         if json_file is not None:
             json_file.write_text(json.dumps(result | made_with, indent=2) + "\n", encoding="utf-8")
 
+    policy_file = None if tracker == "pd" else weights
+    if suite is not None:
+        human = humanoid(HUMAN)
+        settings, policy = policy_of(human, policy_file)
+        result = run_suite(suite, human, settings, policy, Corpus.load(corpus) if corpus else cached_corpus(_told))
+        write({"suite": suite, **result})
+        typer.echo(json.dumps({k: v for k, v in result.items() if k != "per_clip"}, indent=2))
+        return
     outcomes: list[Outcome] = []
     if clips is not None:
         options = ReadOptions(fps, up.lower(), unit, read_joint_map(joints) if joints is not None else None)
@@ -136,7 +157,7 @@ def main(
     if not motions:
         write({"clips": 0, **told_of_files(outcomes)})
         raise InvalidInputError(f"no clip at {clips or corpus} can be followed", field="clips")
-    result = evaluate_weights(motions, weights if tracker == "ppo" else None) | told_of_files(outcomes)
+    result = evaluate_weights(motions, policy_file) | told_of_files(outcomes)
     write(result)
     for name, row in sorted(result["by_behaviour"].items()):
         typer.echo(f"{name:14} {row['success']:.2f} of {row['clips']:3}  {row['mpjpe_mm']:.0f} mm")
