@@ -7,21 +7,21 @@ import sys
 
 from orchestrator.api.server import serve
 from orchestrator.api.settings import OrchestratorSettings
-from shared.errors import InvalidInputError
+from shared.errors import MotionLoopError
 from shared.settings import add_arguments, load_settings
 
 
 def main() -> int:
-    """Serve until SIGTERM or Ctrl-C. Exit code 2 when the settings are refused."""
+    """Serve until SIGTERM or Ctrl-C. Exit code 2 when the settings are refused, or it cannot start."""
     parser = argparse.ArgumentParser(prog="orchestrator", description="motionloop's HTTP server")
     add_arguments(parser, OrchestratorSettings)
     try:
         settings = load_settings(OrchestratorSettings, vars(parser.parse_args()))
-    except InvalidInputError as error:
+        serve(settings)
+    except MotionLoopError as error:
         allowed = f" (allowed: {error.allowed})" if error.allowed else ""
         sys.stderr.write(f"{error.message}{allowed}\n")
         return 2
-    serve(settings)
     return 0
 
 

@@ -54,12 +54,12 @@ async def open_orchestrator(settings: OrchestratorSettings) -> Orchestrator:
     return core
 
 
-def create_app(settings: OrchestratorSettings) -> FastAPI:
-    """The app; services and store are opened when it starts and closed when it ends."""
+def create_app(settings: OrchestratorSettings, opened: Orchestrator | None = None) -> FastAPI:
+    """The app. What it serves is `opened`, or opened when it starts; it is closed when the app ends."""
 
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        core = await open_orchestrator(settings)
+        core = opened if opened is not None else await open_orchestrator(settings)
         app.state.orchestrator = core
         app.state.health = HealthWatch(core)
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import signal
 import socket
 import sys
@@ -9,8 +10,10 @@ from types import FrameType
 
 import uvicorn
 
-from orchestrator.api.app import create_app
+from orchestrator.api.app import create_app, open_orchestrator
+from orchestrator.api.listener import bind
 from orchestrator.api.settings import OrchestratorSettings
+from orchestrator.store.lock import FolderLock
 
 
 class _Server(uvicorn.Server):
@@ -29,16 +32,27 @@ def _end(number: int, frame: FrameType | None) -> None:
 
 
 def serve(settings: OrchestratorSettings) -> None:
-    """Serve until SIGTERM or SIGINT; prints one ready line with the address."""
-    config = uvicorn.Config(
-        create_app(settings), host=settings.host, port=settings.port, log_level="warning", lifespan="on",
-        timeout_graceful_shutdown=5, ws_ping_interval=20.0, ws_max_queue=32,
-    )  # fmt: skip
+    """Serve until SIGTERM or SIGINT; prints one ready line with the address.
+
+    Raises:
+        ConflictError: the port or the data folder is taken.
+        UnavailableError: a service does not answer.
+    """
     # uvicorn raises the signal once more after its shutdown: a clean end is exit code 0 and not death by SIGTERM.
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, _end)
-    listener = config.bind_socket()
+    listener = bind(settings.host, settings.port)
     try:
-        _Server(config).run(sockets=[listener])
+        with FolderLock(settings.data_dir):
+            asyncio.run(_serve(settings, listener))
     finally:
         listener.close()
+
+
+async def _serve(settings: OrchestratorSettings, listener: socket.socket) -> None:
+    app = create_app(settings, await open_orchestrator(settings))
+    config = uvicorn.Config(
+        app, host=settings.host, port=settings.port, log_level="warning", lifespan="on",
+        timeout_graceful_shutdown=5, ws_ping_interval=20.0, ws_max_queue=32,
+    )  # fmt: skip
+    await _Server(config).serve(sockets=[listener])

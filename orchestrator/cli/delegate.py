@@ -20,11 +20,26 @@ PASS_THROUGH = {"allow_extra_args": True, "ignore_unknown_options": True, "help_
 def run_module(module: str, arguments: Sequence[str]) -> None:
     """`python -m module arguments`; exits with its code."""
     _check_installed(module)
+    raise typer.Exit(run_quietly(module, arguments))
+
+
+def run_quietly(module: str, arguments: Sequence[str]) -> int:
+    """The exit code of `python -m module arguments`; 130 after Ctrl-C.
+
+    The module is in a process group of its own: Ctrl-C reaches it as the SIGTERM that it ends cleanly on, and not as an
+    exception in the middle of its imports.
+    """
+    process = subprocess.Popen([sys.executable, "-m", module, *arguments], process_group=0)
     try:
-        code = subprocess.run([sys.executable, "-m", module, *arguments], check=False).returncode
+        return process.wait()
     except KeyboardInterrupt:
-        code = 130
-    raise typer.Exit(code)
+        process.terminate()
+        process.wait()
+        return 130
+    except BaseException:  # e.g. SIGTERM, which ends us as SystemExit
+        process.terminate()
+        process.wait()
+        raise
 
 
 def module_json(module: str, arguments: Sequence[str]) -> dict[str, Any]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
+import typer.core
 from rich.table import Table
 
 from orchestrator.cli.common import Token, client, console, for_people
@@ -15,7 +16,23 @@ from orchestrator.cli.delegate import PASS_THROUGH, need, run_module, say_what_i
 from orchestrator.cli.talk import episode, export, say, swap, watch
 from shared.console import errors_for_people
 
-app = typer.Typer(no_args_is_help=True, add_completion=False, help="Text- and target-driven physical characters.")
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells have it."""
+
+
+class _Quiet(typer.core.TyperGroup):
+    """Ends without a word on Ctrl-C."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise typer.Exit(INTERRUPTED) from None
+
+
+app = typer.Typer(
+    cls=_Quiet, no_args_is_help=True, add_completion=False, help="Text- and target-driven physical characters."
+)
 data = typer.Typer(no_args_is_help=True, help="Motion corpora.")
 train = typer.Typer(no_args_is_help=True, help="Train the planner or the tracker.")
 app.add_typer(data, name="data")

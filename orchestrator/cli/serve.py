@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import signal
-import subprocess
-import sys
 import time
+from pathlib import Path
 from types import FrameType
 
 from rich.console import Console
 
+from orchestrator.api.listener import check_port
+from orchestrator.cli.delegate import run_quietly
 from orchestrator.core.supervise import Stack, StackOptions
+from orchestrator.store.lock import check_free
 
 MODULES = {"planner": "planner_service", "tracker": "tracker_service", "orchestrator": "orchestrator"}
 LOOK_S = 0.5
@@ -26,14 +28,18 @@ def _stop(signum: int, frame: FrameType | None) -> None:
 
 def serve_one(name: str, arguments: list[str]) -> int:
     """Run one service in this terminal, with its own arguments; signals reach it too."""
-    try:
-        return subprocess.run([sys.executable, "-m", MODULES[name], *arguments], check=False).returncode
-    except KeyboardInterrupt:
-        return 0
+    return 0 if (code := run_quietly(MODULES[name], arguments)) == 130 else code
 
 
 def serve_all(options: StackOptions, console: Console) -> int:
-    """Run all three until SIGTERM or Ctrl-C (0), or until one ends by itself (1); none is left behind."""
+    """Run all three until SIGTERM or Ctrl-C (0), or until one ends by itself (1); none is left behind.
+
+    Raises:
+        ConflictError: the port or the data folder is taken; nothing was started then.
+    """
+    check_port(options.host, options.port)
+    if options.data_dir is not None:
+        check_free(Path(options.data_dir))
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, _stop)
     stack = Stack(options, console.print)

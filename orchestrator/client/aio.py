@@ -17,7 +17,7 @@ from websockets.exceptions import ConnectionClosedOK, InvalidHandshake, WebSocke
 
 from orchestrator.client import calls
 from orchestrator.client.calls import Address, Call, CharacterOptions, CommandOptions, EpisodeOptions, Format
-from orchestrator.client.errors import ServerProblem, no_connection, problem_of
+from orchestrator.client.errors import ServerProblem, no_connection, problem_of, usable_proxies
 from orchestrator.client.models import CharacterInfo, EpisodeInfo, PlanGhost, State, event_of, message_of
 from orchestrator.client.motion import Motion
 from orchestrator.client.sync import QUIET_S
@@ -32,7 +32,11 @@ class AsyncClient:
 
     def __init__(self, url: str | None = None, token: str | None = None, timeout_s: float = calls.TIMEOUT_S):
         self.address = Address.find(url, token)
-        self._http = httpx.AsyncClient(base_url=self.address.url, headers=self.address.headers, timeout=timeout_s)
+        address = self.address
+        with usable_proxies():
+            self._http = httpx.AsyncClient(
+                base_url=address.url, headers=address.headers, timeout=timeout_s, trust_env=address.by_proxy
+            )
 
     async def __aenter__(self) -> Self:
         return self

@@ -16,6 +16,7 @@ from orchestrator.client.models import CharacterInfo, EpisodeInfo, State
 from orchestrator.client.motion import Motion
 from shared.errors import InvalidInputError, MalformedMessageError
 from shared.protocol.rest import ServiceInfo, ServicesInfo, StateFields
+from shared.protocol.security import is_loopback
 
 T = TypeVar("T")
 M = TypeVar("M", bound=BaseModel)
@@ -109,6 +110,11 @@ class Address:
     def headers(self) -> dict[str, str]:
         """For every request."""
         return {"Authorization": f"Bearer {self.token}"} if self.token else {}
+
+    @property
+    def by_proxy(self) -> bool:
+        """Whether the environment's proxies count: not for this machine, which no proxy can reach for us."""
+        return not is_loopback(urlsplit(self.url).hostname or "")
 
     def stream_url(self, character_id: str, tail: int | None) -> str:
         """Of a character's WebSocket; `tail` limits how many past events come first."""

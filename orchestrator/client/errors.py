@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import httpx
@@ -52,3 +53,12 @@ def no_connection(url: str, error: Exception) -> MotionLoopError:
     return UnavailableError(
         f"the connection to {url} broke ({reason}): see whether the server still runs, and try again"
     )
+
+
+@contextmanager
+def usable_proxies() -> Iterator[None]:
+    """Raise UnavailableError where the environment names a proxy that httpx cannot use."""
+    try:
+        yield
+    except (ImportError, ValueError) as error:
+        raise UnavailableError(f"the proxy that the environment names cannot be used: {error}", field="url") from error

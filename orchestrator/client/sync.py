@@ -16,7 +16,7 @@ from websockets.sync.client import connect
 
 from orchestrator.client import calls
 from orchestrator.client.calls import Address, Call, CharacterOptions, CommandOptions, EpisodeOptions, Format
-from orchestrator.client.errors import ServerProblem, no_connection, problem_of
+from orchestrator.client.errors import ServerProblem, no_connection, problem_of, usable_proxies
 from orchestrator.client.models import CharacterInfo, EpisodeInfo, PlanGhost, State, event_of, message_of
 from orchestrator.client.motion import Motion
 from shared.errors import ConflictError, DeadlineError, MotionLoopError
@@ -41,7 +41,11 @@ class Client:
 
     def __init__(self, url: str | None = None, token: str | None = None, timeout_s: float = calls.TIMEOUT_S):
         self.address = Address.find(url, token)
-        self._http = httpx.Client(base_url=self.address.url, headers=self.address.headers, timeout=timeout_s)
+        address = self.address
+        with usable_proxies():
+            self._http = httpx.Client(
+                base_url=address.url, headers=address.headers, timeout=timeout_s, trust_env=address.by_proxy
+            )
 
     def __enter__(self) -> Self:
         return self
