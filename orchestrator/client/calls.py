@@ -35,9 +35,11 @@ FORMATS: tuple[Format, ...] = ("npz", "bvh", "csv", "glb", "mp4")
 class CharacterOptions(TypedDict, total=False):
     """What a character can be made with; all optional.
 
+    character: `human`, `child` (1.2 m) or `heavy` (1.9 m, 130 kg).
     pacing: `realtime` runs by the wall clock, `lockstep` when `step` is called. planner, tracker: plug-ins by name.
     """
 
+    character: str
     scene: str
     planner: str | None
     tracker: str | None
@@ -69,6 +71,7 @@ class EpisodeOptions(TypedDict, total=False):
     """What an episode can be told beside its tasks; all optional, as `POST /v1/episodes` takes them."""
 
     name: str | None
+    character: str
     scene: str
     order: Literal["sequence", "random"]
     seed: int

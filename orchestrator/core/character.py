@@ -36,6 +36,7 @@ class CharacterSpec(BaseModel):
     """A character to make. planner and tracker name plug-ins; None for the services' own choice."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+    character: Name = "human"
     scene: Name = "flat"
     planner: Name | None = None
     tracker: Name | None = None
@@ -79,6 +80,7 @@ class CharacterSession:
     async def start(self) -> StateFrame:
         """Make it at the tracker and, in realtime, let it run."""
         request = CreateCharacter(
+            character=self.spec.character,
             scene=self.spec.scene,
             tracker=self.spec.tracker or self._services.tracker.plugin,
             pacing=self.spec.pacing,

@@ -50,6 +50,7 @@ class EpisodeSpec(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     name: Annotated[str, Field(max_length=80)] | None = None
+    character: Name = "human"
     scene: Name = "flat"
     tasks: Annotated[list[TaskSpec], Field(min_length=1, max_length=200)]
     order: Literal["sequence", "random"] = "sequence"
@@ -179,6 +180,7 @@ class EpisodeRunner:
     async def _create(self) -> StateFrame:
         spec = self.spec
         request = CreateCharacter(
+            character=spec.character,
             scene=spec.scene,
             tracker=spec.tracker or self._services.tracker.plugin,
             pacing=spec.pacing,

@@ -13,6 +13,7 @@ from orchestrator.core.services import Reply, Services, Slot
 from orchestrator.core.settings import LoopSettings
 from orchestrator.core.stitch import PlanBuffer, build_prefix, log_window, since
 from shared.errors import InvalidInputError, MalformedMessageError, MotionLoopError
+from shared.motion.characters import build
 from shared.motion.ik import clip_from_positions
 from shared.motion.resampling import finite_velocity
 from shared.motion.skeleton import CANONICAL
@@ -99,11 +100,15 @@ def timing_of(plan: Plan, index: int, reply: TrackReply, total_ms: float, text: 
 
 def view_of(state: StateFrame) -> BodyView:
     """The body in a state frame."""
-    return BodyView(state.tick, np.asarray(state.body_pos_w_m, dtype=np.float64), state.fallen)
+    scale = build(state.character).world_scale
+    return BodyView(state.tick, np.asarray(state.body_pos_w_m, dtype=np.float64), state.fallen, scale)
 
 
 class CharacterLoop:
     """Requests, joins and delivers the plans of one character.
+
+    Plans are made for the canonical skeleton: what goes to the planner (prefix, goal) is brought to its world, and the
+    plan that comes back to the character's (`shared.motion.characters`). Here everything is in the character's.
 
     Args:
         character_id: as the tracker knows it.
@@ -126,6 +131,7 @@ class CharacterLoop:
         self._seed = seed
         self._buffer = PlanBuffer()
         self._since_tick = 0
+        self._build = build("human")
         self.plans_made = 0
         self.last_plan: Plan | None = None
         self.swap_error: str | None = None
@@ -140,9 +146,10 @@ class CharacterLoop:
 
     async def ask_tracker(self, kind: type[Reply], message: Message, timeout_s: float | None = None) -> Reply:
         """The reply of the tracker that the character lives at, by default within the tracker's time-out."""
-        return await self._tracker.ask(
-            kind, message, self.character_id, timeout_s or self.settings.tracker_timeout_s
-        )  # fmt: skip
+        reply = await self._tracker.ask(kind, message, self.character_id, timeout_s or self.settings.tracker_timeout_s)
+        if isinstance(reply, StateFrame):
+            self._build = build(reply.character)
+        return reply
 
     async def observe(self) -> StateFrame:
         """The present state."""
@@ -197,7 +204,10 @@ class CharacterLoop:
                 allowed=f"at least one frame at {request.fps} fps from tick {start_tick}",
             )
         self.plans_made += 1
-        return plan
+        if self._build.skeleton_id == plan.skeleton:
+            return plan
+        own = self._build.from_canonical(plan.positions_w_m)
+        return plan.model_copy(update={"positions_w_m": own.astype("<f4"), "skeleton": self._build.skeleton_id})
 
     async def track(self, plan: Plan) -> TrackReply:
         """Hand a plan to the tracker; an accepted one enters the buffer, the old one ends where it starts."""
@@ -265,16 +275,18 @@ class CharacterLoop:
             simulated, velocities, now_frame, frame_of_tick(start_tick, spec.fps), self._buffer, spec.prefix_frames,
             self.settings.error_decay_s,
         )  # fmt: skip
-        clip = clip_from_positions(prefix.positions_w_m, spec.fps)
+        positions = self._build.to_canonical(prefix.positions_w_m)
+        clip = clip_from_positions(positions, spec.fps)
+        goal = goal.scaled(1.0 / self._build.world_scale)
         guidance = goal.guidance if goal.guidance is not None else self.settings.guidance
         return PlanRequest.model_validate(
             {
                 "planner": spec.name,
                 "start_tick": start_tick,
                 "fps": spec.fps,
-                "prefix_positions_w_m": prefix.positions_w_m,
+                "prefix_positions_w_m": positions,
                 "prefix_rotations_6d": clip.rotations_6d,
-                "prefix_velocities_w_mps": prefix.velocities_w_mps,
+                "prefix_velocities_w_mps": self._build.to_canonical(prefix.velocities_w_mps),
                 "context_frames": prefix.context_frames,
                 "text": goal.text,
                 "targets": list(goal.targets),

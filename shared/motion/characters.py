@@ -9,8 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+import numpy.typing as npt
+
 from shared.errors import InvalidInputError
 from shared.motion.skeleton import CANONICAL, Skeleton, skeleton
+
+Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,14 @@ class Build:
     def world_scale(self) -> float:
         """Lengths in its world = lengths in the canonical skeleton's world times this; exactly 1 for `human`."""
         return self.skeleton.root_height_m / CANONICAL.root_height_m
+
+    def to_canonical(self, lengths: npt.ArrayLike) -> Array:
+        """Points, lengths or velocities of its world as the canonical skeleton's world has them; any shape."""
+        return np.asarray(lengths, dtype=np.float64) / self.world_scale
+
+    def from_canonical(self, lengths: npt.ArrayLike) -> Array:
+        """The way back: a plan for the canonical skeleton (T, J, 3) becomes one for this one, over the same floor."""
+        return np.asarray(lengths, dtype=np.float64) * self.world_scale
 
 
 BUILDS = {

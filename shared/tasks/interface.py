@@ -7,7 +7,7 @@ It never talks to a service, so the same task runs in episodes, in evaluation an
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -80,6 +80,28 @@ class PlanGoal:
     keyframe_joints: tuple[tuple[str, ...], ...] = ()
     keyframe_positions_w_m: tuple[tuple[tuple[float, float, float], ...], ...] = ()
     guidance: float | None = None
+
+    def scaled(self, factor: float) -> PlanGoal:
+        """The same in a world whose lengths are `factor` times as large: places, speeds and radii are, angles and times
+        stay."""
+        if factor == 1.0:
+            return self
+
+        def point(place: tuple[float, float, float]) -> tuple[float, float, float]:
+            x, y, z = place
+            return (x * factor, y * factor, z * factor)
+
+        velocity = self.desired_velocity_w_mps
+        return replace(
+            self,
+            targets=tuple(each.model_copy(update={"position_w_m": point(each.position_w_m)}) for each in self.targets),
+            desired_velocity_w_mps=None if velocity is None else (velocity[0] * factor, velocity[1] * factor),
+            obstacles=tuple(
+                Obstacle(point(each.position_w_m), point(each.velocity_w_mps), each.radius_m * factor)
+                for each in self.obstacles
+            ),
+            keyframe_positions_w_m=tuple(tuple(map(point, places)) for places in self.keyframe_positions_w_m),
+        )
 
 
 @dataclass(frozen=True)
