@@ -141,8 +141,13 @@ def train_planner(context: typer.Context) -> None:
 
 @train.command("tracker", context_settings=PASS_THROUGH)
 def train_tracker(context: typer.Context) -> None:
-    """Train the tracker with PPO; options as of `python -m tracker_service.training.main`."""
-    run_module("tracker_service.training.main", context.args)
+    """Train the tracker through a model of its body; options as of `python -m tracker_service.training.world.main`.
+
+    With --ppo plain PPO, which it is compared with: `python -m tracker_service.training.main`.
+    """
+    arguments = [a for a in context.args if a != "--ppo"]
+    ppo = len(arguments) < len(context.args)
+    run_module("tracker_service.training.main" if ppo else "tracker_service.training.world.main", arguments)
 
 
 def _add_measurements() -> None:

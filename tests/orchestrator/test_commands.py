@@ -75,7 +75,15 @@ def test_wrong_use_is_told(arguments: list[str]) -> None:
     assert "Usage" in refused.output
 
 
-@pytest.mark.parametrize("command", ["train planner --out {out}", "train tracker --out {out}", "eval planner --seed 2"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        "train planner --out {out}",
+        "train tracker --out {out}",
+        "train tracker --ppo --out {out}",
+        "eval planner --seed 2",
+    ],
+)
 def test_training_and_evaluation_start_and_a_missing_corpus_is_one_clear_line(command: str, tmp_path: Path) -> None:
     arguments = command.format(out=tmp_path / "out").split()
     said = run(*arguments, "--corpus", str(tmp_path / "none"), code=1)
