@@ -22,6 +22,7 @@ from planner_service.dip.feet import with_planted_feet
 from planner_service.dip.network import with_bf16_blocks
 from planner_service.dip.weights import SHIPPED, DipWeights, load_weights
 from planner_service.text.encoder import CachedTextEncoder, TextEncoder, pad_tokens
+from planner_service.text.known import KnownSentences
 from planner_service.text.pretrained import minilm
 from shared.errors import InvalidInputError, SimulationError
 from shared.motion.features import (
@@ -36,7 +37,7 @@ from shared.motion.rotations import wrap_angle
 from shared.motion.skeleton import CANONICAL
 from shared.plugins.interfaces import PlannerSpec
 from shared.processor import bf16_pays
-from shared.protocol.messages import PLANNER_FPS, TICK_HZ, Plan, PlanRequest
+from shared.protocol.messages import PLANNER_FPS, TICK_HZ, Plan, PlanRequest, TextRead
 
 Array = npt.NDArray[np.float64]
 VERSION = "1"
@@ -75,9 +76,16 @@ class DipPlanner:
         weights: from `load_weights`.
         encoder: the text encoder that the weights were trained with; cached here.
         settings: see DipSettings.
+        known: the sentences that the weights were trained on; None where that is not known.
     """
 
-    def __init__(self, weights: DipWeights, encoder: TextEncoder, settings: DipSettings | None = None):
+    def __init__(
+        self,
+        weights: DipWeights,
+        encoder: TextEncoder,
+        settings: DipSettings | None = None,
+        known: KnownSentences | None = None,
+    ):
         self._config = weights.network.config
         self._normalizer = weights.normalizer
         if encoder.spec.name != self._config.text_encoder:
@@ -87,6 +95,7 @@ class DipPlanner:
                 allowed=self._config.text_encoder,
             )
         self._texts = CachedTextEncoder(encoder)
+        self._known = known
         self._settings = settings or DipSettings()
         wanted = self._settings.bf16
         self._bf16 = bf16_pays() if wanted is None else wanted
@@ -101,13 +110,21 @@ class DipPlanner:
             fps=PLANNER_FPS,
             prefix_frames=self._config.prefix_frames,
             plan_frames=self._config.plan_frames,
+            target_joints=JOINT_SLOTS,
             conditions=("text", "target", "heading"),
         )
 
     @classmethod
     def load(cls, path: Path | None = None, settings: DipSettings | None = None) -> DipPlanner:
         """With weights from a file (else the shipped ones) and MiniLM."""
-        return cls(load_weights(path or SHIPPED), minilm(), settings)
+        return cls(load_weights(path or SHIPPED), minilm(), settings, KnownSentences.load())
+
+    def read_text(self, text: str) -> TextRead:
+        """The training sentence nearest to a text."""
+        if self._known is None:
+            return TextRead()
+        found = self._known.nearest(text, self._texts)
+        return TextRead(nearest=found.sentence, similarity=round(found.similarity, 4), far=found.far)
 
     @property
     def spec(self) -> PlannerSpec:

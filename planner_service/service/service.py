@@ -14,11 +14,11 @@ from planner_service.service.plugins import planner_registry
 from planner_service.service.settings import PlannerSettings
 from shared.errors import InvalidInputError, UnavailableError
 from shared.plugins.checks import fit_request
-from shared.plugins.interfaces import Planner
+from shared.plugins.interfaces import Planner, TextReader
 from shared.plugins.registry import PluginRegistry
 from shared.protocol.base import Message
 from shared.protocol.control import Envelope, Health, HealthReport, Hello, Welcome
-from shared.protocol.messages import PlanRequest
+from shared.protocol.messages import PlanRequest, ReadText, TextRead
 from shared.protocol.transport import ServiceServer
 
 PREFERRED = ("dip", "clip", "stand")
@@ -56,7 +56,7 @@ class PlannerService:
         self._started = time.monotonic()
         self._server = ServiceServer(
             settings.endpoint,
-            {PlanRequest: self._plan, Health: self._health},
+            {PlanRequest: self._plan, ReadText: self._read, Health: self._health},
             self._welcome,
             workers=settings.workers,
             max_pending=settings.max_pending,
@@ -122,16 +122,23 @@ class PlannerService:
         )
 
     def _plan(self, envelope: Envelope, request: PlanRequest) -> Future[Message]:
-        name = request.planner or self._default
-        batcher = self._batchers.get(name)
-        if batcher is None:
+        planner = self._named(request.planner)
+        return self._batchers[planner.spec.name].submit(fit_request(request, planner.spec), envelope.deadline_unix_s)
+
+    def _read(self, envelope: Envelope, request: ReadText) -> TextRead:
+        planner = self._named(request.planner)
+        return planner.read_text(request.text) if isinstance(planner, TextReader) else TextRead()
+
+    def _named(self, name: str | None) -> Planner:
+        name = name or self._default
+        if name not in self._batchers:
             reason = self._registry.withdrawn().get(name)
             raise InvalidInputError(
                 f"no planner {name!r}" + (f": {reason}" if reason else ""),
                 field="planner",
                 allowed=", ".join(self._planners),
             )
-        return batcher.submit(fit_request(request, self._planners[name].spec), envelope.deadline_unix_s)
+        return self._planners[name]
 
     def _health(self, envelope: Envelope, message: Health) -> HealthReport:
         batchers = dict(self._batchers)

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from shared.protocol.messages import MAX_PLAN_FRAMES, MAX_PREFIX_FRAMES, Plan, PlanRequest
+from shared.protocol.messages import MAX_PLAN_FRAMES, MAX_PREFIX_FRAMES, Plan, PlanRequest, TextRead
 from shared.protocol.rates import Fps
 
 FloatArray = npt.NDArray[np.floating]
@@ -32,6 +32,7 @@ class PlannerSpec(BaseModel):
         prefix_frames: length of the prefix window it wants, 1 to 60.
         plan_frames: most frames it plans at once, 4 to 200.
         replan_frames: after how many of its frames it wants to plan again; None leaves that to the loop's settings.
+        target_joints: joints that a target can be for; None for any.
         conditions: which of `CONDITIONS` it honours; a request's others are ignored, and reported as ignored.
     """
 
@@ -44,6 +45,7 @@ class PlannerSpec(BaseModel):
     prefix_frames: Annotated[int, Field(ge=1, le=MAX_PREFIX_FRAMES)]
     plan_frames: Annotated[int, Field(ge=4, le=MAX_PLAN_FRAMES)]
     replan_frames: Annotated[int, Field(ge=1, le=MAX_PLAN_FRAMES)] | None = None
+    target_joints: tuple[str, ...] | None = None
     conditions: tuple[str, ...] = ()
 
 
@@ -62,6 +64,15 @@ class Planner(Protocol):
         The same request with the same seed gives the same plan whatever else is in the batch (to float precision;
         bit for bit when the batch has the same composition).
         """
+        ...
+
+
+@runtime_checkable
+class TextReader(Protocol):
+    """What a planner may have beside `Planner`: it knows which texts it was made from."""
+
+    def read_text(self, text: str) -> TextRead:
+        """The sentence it knows that is nearest to a text. Called from any thread, also while it plans."""
         ...
 
 

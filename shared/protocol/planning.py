@@ -116,6 +116,28 @@ class PlanRequest(Message):
         return self
 
 
+class ReadText(Message):
+    """Ask which sentence that it knows is nearest to a text; the reply is TextRead."""
+
+    type: ClassVar[str] = "ReadText"
+    planner: Name | None = None
+    text: Annotated[str, Field(max_length=MAX_TEXT_CHARS)]
+
+
+class TextRead(Message):
+    """How near a text is to what the planner was made from; all None from a planner that keeps no sentences.
+
+    Attributes:
+        nearest: the nearest sentence it knows; similarity: at most 1, which is the same.
+        far: whether the text is unlike all that it knows.
+    """
+
+    type: ClassVar[str] = "TextRead"
+    nearest: str | None = None
+    similarity: FiniteFloat | None = None
+    far: bool | None = None
+
+
 class Plan(Message):
     """Planned motion from start_tick on.
 

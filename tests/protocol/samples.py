@@ -68,6 +68,8 @@ SAMPLES: tuple[Message, ...] = (
            rotations_6d=_ramp(3, 22, 6), fps=40, actions=_ramp(2, 4), action_space="latent",
            understood="walk", nearest="a person walks", guidance=2.5, seed=7,
            ignored_conditions=["keyframes"], timings_ms={"plan": 1.5}),
+    m.ReadText(planner="dip", text="amble"),
+    m.TextRead(nearest="walk", similarity=0.5, far=False),
     m.CreateCharacter(tracker="pd", pacing="realtime", seed=3, position_w_m=(1.0, 2.0), heading_rad=0.25),
     m.CloseCharacter(),
     m.SetScene(scene={"name": "mine", "bodies": [{"name": "crate", "shape": "box"}]}),
