@@ -16,7 +16,7 @@ from shared.errors import InvalidInputError
 from shared.motion.body import Array
 from shared.motion.io.files import read_motion
 from shared.motion.io.options import ReadOptions, read_joint_map
-from tests.data.walks import FRAMES, JOINTS, WALKED_M, X_UP, Z_UP, Spelling, plain
+from tests.data.walks import FRAMES, JOINTS, WALKED_M, X_UP, Z_UP, Spelling, hips, local_rotations, plain
 
 SAME_M = 1e-3
 SIX = "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"
@@ -229,6 +229,35 @@ def test_names_of_the_usual_exporters_are_known(tmp_path: Path, walk: Array, nam
     }
     clip, _ = load_clip(tmp_path / "walk.bvh")
     np.testing.assert_allclose(clip.positions_w_m, walk, atol=SAME_M)
+
+
+def only_moving(offsets: bool) -> str:
+    """The walk as positions of joints in their parents' place, without a rotation."""
+    parents = {name: parent for name, parent, _ in JOINTS}
+    bones = {name: np.array(offset, dtype=float) for name, _, offset in JOINTS}
+    turns: dict[str, Array] = {}
+    steps: dict[str, Array] = {}
+    for name, parent, _ in JOINTS:
+        above = turns.get(parent, np.broadcast_to(np.eye(3), (FRAMES, 3, 3)))
+        steps[name] = above @ bones[name] if parent else hips()
+        turns[name] = above @ local_rotations().get(name, np.eye(3))
+    text = Spelling(moving=offsets, without_offsets=not offsets).text()
+    text = re.sub(r"CHANNELS 6 (.position .position .position).*", r"CHANNELS 3 \1", text)
+    order = re.findall(r"(?:ROOT|JOINT) (\w+)", text)
+    assert set(order) == set(parents)
+    rows = np.concatenate([steps[name] for name in order], axis=1)
+    head = text.split("Frame Time")[0] + "Frame Time: 0.0333333\n"
+    return head + "\n".join(" ".join(f"{v:.5f}" for v in row) for row in rows) + "\n"
+
+
+@pytest.mark.parametrize(("offsets", "within_m"), [(True, SAME_M), (False, 0.06)])
+def test_a_walk_of_positions_only_is_the_same_walk(tmp_path: Path, walk: Array, offsets: bool, within_m: float) -> None:
+    """Without offsets nothing says how the feet and the trunk are held in a neutral pose: it is the first frame's."""
+    (tmp_path / "walk.bvh").write_text(only_moving(offsets))
+    (warning,) = read_motion(tmp_path / "walk.bvh").warnings
+    assert "fitted to the positions" in warning
+    clip, _ = load_clip(tmp_path / "walk.bvh")
+    np.testing.assert_allclose(clip.positions_w_m, walk, atol=within_m)
 
 
 def test_the_base_walks_as_far_as_it_should(walk: Array) -> None:

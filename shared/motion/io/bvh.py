@@ -12,6 +12,7 @@ from shared.motion.clip import MotionClip
 from shared.motion.io.assemble import assemble
 from shared.motion.io.axes import Y_UP_TO_Z_UP
 from shared.motion.io.bvh_text import BvhText, read_bvh_text
+from shared.motion.io.fitted import fit_rotations
 from shared.motion.io.landmarks import Array, find_landmarks
 from shared.motion.io.options import ReadOptions, rate_of
 from shared.motion.io.raw import RawMotion, compose, euler_matrix
@@ -86,15 +87,18 @@ def _motion(
     index = {joint: i for i, joint in enumerate(own)}
     parents = tuple(index.get(text.parents[joint], -1) for joint in own)
     starts = np.cumsum([0, *(len(c) for c in text.channels)])
-    offsets = np.array([text.offsets[joint] for joint in own])
+    written = np.array([text.offsets[joint] for joint in own])
+    offsets = written.copy()
     frames = len(text.rows)
     local = np.broadcast_to(np.eye(3), (frames, len(own), 3, 3)).copy()
     moving: dict[int, Array] = {}
+    turned = False
     for i, joint in enumerate(own):
         channels = text.channels[joint]
         block = text.rows[:, starts[joint] : starts[joint + 1]]
         turns = [k for k, c in enumerate(channels) if c[1:] == "rotation"]
         if turns:
+            turned = turned or bool(block[:, turns].any())
             local[:, i] = euler_matrix("".join(channels[k][0] for k in turns), np.radians(block[:, turns]))
         shifts = {
             "xyz".index(c[0]): block[:, k] for k, c in enumerate(channels) if c[1:] in ("position", "translation")
@@ -106,6 +110,12 @@ def _motion(
                 offsets[i] = np.median(moving[i], axis=0)
     still = np.broadcast_to(offsets[0], (frames, 3))
     positions, world = compose(parents, offsets, still, local, moving)
+    if not turned and sum(bool(np.ptp(place, axis=0).any()) for place in moving.values()) > 1:
+        # Without bones in the file its first frame is the zero pose.
+        first = positions[0] - positions[0, np.maximum(parents, 0)]
+        offsets = np.where(np.linalg.norm(written, axis=1, keepdims=True) > 1e-9, written, first)
+        world = fit_rotations(parents, offsets, positions)
+        warnings = [*warnings, "no joint turns, they only move: the rotations are fitted to the positions"]
     return assemble(
         tuple(text.names[joint] for joint in own),
         parents,
@@ -133,7 +143,7 @@ def _shifted(offset: Array, shifts: dict[int, Array], frames: int, root: bool) -
     given = list(shifts)
     step = place[:, given]
     bone = offset[given]
-    if np.median(np.linalg.norm(step, axis=1)) < np.median(np.linalg.norm(step - bone, axis=1)):
+    if np.median(np.linalg.norm(step, axis=1)) < 0.5 * np.linalg.norm(bone):
         place[:, given] = step + bone
     return place
 

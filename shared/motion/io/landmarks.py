@@ -19,7 +19,7 @@ ALIASES: dict[str, tuple[str, ...]] = {
     "knee": ("leg", "calf", "knee", "shin", "lowerleg", "lowleg", "shank", "lleg", "tibia"),
     "ankle": ("foot", "ankle"),
     "toe": ("toebase", "toe", "ball", "toes", "forefoot", "foottoe", "footend"),
-    "collar": ("shoulder", "clavicle", "collar", "clav"),
+    "collar": ("shoulder", "clavicle", "collar", "clav", "scapula"),
     "shoulder": ("arm", "upperarm", "shoulder", "shldr", "uparm", "uarm", "humerus"),
     "elbow": ("forearm", "elbow", "lowerarm", "lowarm", "farm", "larm", "radius"),
     "wrist": ("wrist", "hand"),
