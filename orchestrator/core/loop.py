@@ -43,6 +43,7 @@ from shared.protocol.messages import (
 )
 from shared.protocol.rates import first_start_by, frame_of_tick, start_spacing
 from shared.tasks.interface import BodyView, PlanGoal, Trace, joined
+from shared.tasks.obey import asks_low
 
 GoalSource = Callable[[BodyView, int], PlanGoal]
 """What to ask for, given the body now and the tick the plan will start at."""
@@ -132,6 +133,7 @@ class CharacterLoop:
         self._buffer = PlanBuffer()
         self._since_tick = 0
         self._build = build("human")
+        self._may_be_low = (-1, False)
         self.plans_made = 0
         self.last_plan: Plan | None = None
         self.swap_error: str | None = None
@@ -204,6 +206,8 @@ class CharacterLoop:
                 allowed=f"at least one frame at {request.fps} fps from tick {start_tick}",
             )
         self.plans_made += 1
+        low = asks_low(plan.understood or goal.text) if goal.may_be_low is None else goal.may_be_low
+        self._may_be_low = (start_tick, low)
         if self._build.skeleton_id == plan.skeleton:
             return plan
         own = self._build.from_canonical(plan.positions_w_m)
@@ -220,6 +224,7 @@ class CharacterLoop:
             rotations_6d=plan.rotations_6d,
             actions=plan.actions,
             action_space=plan.action_space,
+            may_be_low=self._may_be_low == (plan.start_tick, True),
         )
         reply = await self.ask_tracker(TrackReply, track)
         if reply.accepted:

@@ -68,6 +68,7 @@ class PlanGoal:
         obstacles: what to keep away from.
         guidance: on the text; None leaves it to the loop's settings, and those to the planner: the one rule there is.
             What was used stands in the plan.
+        may_be_low: being low is asked for and is no fall; None: as the text says.
     """
 
     text: str | None = None
@@ -80,6 +81,7 @@ class PlanGoal:
     keyframe_joints: tuple[tuple[str, ...], ...] = ()
     keyframe_positions_w_m: tuple[tuple[tuple[float, float, float], ...], ...] = ()
     guidance: float | None = None
+    may_be_low: bool | None = None
 
     def scaled(self, factor: float) -> PlanGoal:
         """The same in a world whose lengths are `factor` times as large: places, speeds and radii are, angles and times

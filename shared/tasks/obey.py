@@ -36,6 +36,18 @@ def kind_of(text: str) -> Kind:
     return "other"
 
 
+_LOW = re.compile(
+    r"\b(sit|sits|sat|sitting|seat|seated|lie|lies|lying|lays|laying|crawl\w*|kneel\w*|knelt|crouch\w*|squat\w*|duck\w*"
+    r"|push-?ups?|sit-?ups?|rolls?|rolling|somersault\w*|falls? down|falling down|collaps\w*|on all fours"
+    r"|(get|gets|getting|stand|stands|standing|rise|rises|rising) up|picks?(ing)? (\w+ ){0,3}up|picks?(ing)? up)\b"
+)
+
+
+def asks_low(text: str | None) -> bool:
+    """Whether a sentence asks for being low on the way: sitting, lying, crawling, and getting up from there."""
+    return text is not None and _LOW.search(text.lower()) is not None
+
+
 @dataclass(frozen=True)
 class Obedience:
     """Outcome and the number it rests on (SI; the name carries the unit)."""

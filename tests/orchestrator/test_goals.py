@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import uuid
 from math import pi
 
 import numpy as np
@@ -9,13 +11,60 @@ import pytest
 
 from orchestrator.client import Client
 from orchestrator.core.command import Avoid, Command, CommandGoal, Target
+from orchestrator.core.drivers import LockstepDriver
+from orchestrator.core.loop import CharacterLoop
+from orchestrator.core.services import Services, connect
+from orchestrator.core.settings import LOCKSTEP
 from orchestrator.core.supervise import Stack
-from shared.motion.ik import standing_clip
+from shared.motion.ik import clip_from_positions, standing_clip
 from shared.motion.skeleton import CANONICAL
+from shared.plugins.interfaces import PlannerSpec
+from shared.protocol.messages import CreateCharacter, Plan, PlanRequest, StateFrame
 from shared.tasks.approach import Approach
 from shared.tasks.builtin import ReachTask
 from shared.tasks.interface import BodyView, Obstacle
+from shared.tasks.obey import asks_low
 from shared.tasks.specs import ReachSpec, ReachTuning
+from tests.orchestrator.test_planner_specs import hosting
+from tracker_service.service.service import TrackerService
+from tracker_service.service.settings import TrackerServiceSettings
+
+
+class Lying:
+    """A planner whose body sinks to the floor within a second, whatever it is told."""
+
+    spec = PlannerSpec(
+        name="own", version="1", skeleton=CANONICAL.id, fps=20, prefix_frames=1, plan_frames=40, conditions=("text",)
+    )
+
+    def plan(self, requests: list[PlanRequest]) -> list[Plan]:
+        return [self._plan(request) for request in requests]
+
+    def _plan(self, request: PlanRequest) -> Plan:
+        sunk = np.repeat(request.prefix_positions_w_m[-1:].astype(np.float64), request.horizon_frames, axis=0)
+        heights = sunk[0, 0, 2] - np.minimum(np.arange(1, request.horizon_frames + 1) / 20, 1.0)
+        sunk[:, :, 2] += (np.maximum(heights, 0.15) - sunk[0, 0, 2])[:, None]
+        clip = clip_from_positions(sunk, 20, rebuild=True)
+        return Plan(
+            planner="own",
+            start_tick=request.start_tick,
+            positions_w_m=clip.positions_w_m,
+            rotations_6d=clip.rotations_6d,
+        )
+
+
+async def ends_fallen(planner: str, tracker: str, text: str) -> bool:
+    """Whether the character counts as fallen after two seconds under a text."""
+    services = Services(await connect(planner, "planner"), await connect(tracker, "tracker"))
+    loop = CharacterLoop(str(uuid.uuid4()), services, LOCKSTEP, seed=1)
+    try:
+        start = await loop.ask_tracker(StateFrame, CreateCharacter())
+        driver, source = LockstepDriver(loop, start), CommandGoal(Command(text=text), 0)
+        for _ in range(4):
+            cycle = await driver.cycle(source)
+        return cycle.state.fallen
+    finally:
+        await services.close()
 
 
 def standing(tick: int = 0, x_m: float = 0.0, scale: float = 1.0) -> BodyView:
@@ -70,6 +119,29 @@ def test_facing_holds_all_along_where_the_way_goes_elsewhere_and_spheres_move_on
     turn = CommandGoal(Command(heading_rad=1.0), 0)(standing(), 0)
     assert turn.facing_rad is None
     assert turn.heading is not None
+
+
+@pytest.mark.parametrize(
+    ("text", "low"),
+    [
+        ("a person sits down.", True), ("someone lies on the floor", True), ("a man crawls forward", True),
+        ("a person squats and stands up again", True), ("the person gets up.", True), ("picks something up", True),
+        ("a person does push-ups", True), ("a person walks across the floor.", False), ("a person runs", False),
+        ("a person is standing still.", False), ("raises both hands up", False), (None, False),
+    ],
+)  # fmt: skip
+def test_words_that_ask_for_being_low(text: str | None, low: bool) -> None:
+    assert asks_low(text) is low
+
+
+@pytest.mark.parametrize(("text", "low"), [("a person sits down.", True), ("a person is standing still.", False)])
+def test_the_tracker_is_told_that_being_low_is_asked_for(text: str, low: bool) -> None:
+    """A character that is put on the floor by its plan has fallen, unless its text asked for that."""
+    with (
+        TrackerService(TrackerServiceSettings(endpoint="tcp://127.0.0.1:0", trackers=("kinematic",))) as tracker,
+        hosting(Lying()) as planner,
+    ):
+        assert asyncio.run(ends_fallen(planner.endpoint, tracker.endpoint, text)) is not low
 
 
 def test_what_the_planner_says_comes_back_with_the_plan(stack: Stack) -> None:
