@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TypeVar
 
 import numpy as np
 from pydantic import ValidationError
 
 from shared.errors import IncompatiblePeerError, InvalidInputError, SimulationError
 from shared.motion.skeleton import CANONICAL
-from shared.plugins.interfaces import PlannerSpec
+from shared.plugins.interfaces import PlannerSpec, TrackerSpec
+from shared.plugins.registry import current_name
+from shared.protocol.control import Welcome
 from shared.protocol.errors import invalid_input_from
 from shared.protocol.messages import CONDITIONS, Plan, PlanRequest
 
+Spec = TypeVar("Spec", PlannerSpec, TrackerSpec)
 FLOOR_JOINT = "traj"
 MAX_TARGET_DISTANCE_M = 30.0
 MAX_SPEED_MPS = 30.0
@@ -20,12 +24,27 @@ MAX_SPEED_MPS = 30.0
 
 def planner_spec(declared: Mapping[str, object]) -> PlannerSpec:
     """What a planner declared in the handshake; raises IncompatiblePeerError that names what the loop cannot run."""
+    return _declared(PlannerSpec, declared)
+
+
+def tracker_spec(welcome: Welcome, plugin: str | None = None) -> TrackerSpec:
+    """What a tracker (None: the default one) declared; raises IncompatiblePeerError for an unfit or unknown one."""
+    name = current_name(plugin or welcome.default_plugin)
+    for declared in welcome.plugins:
+        if declared.get("name") == name:
+            return _declared(TrackerSpec, declared)
+    raise IncompatiblePeerError(
+        f"there is no tracker {name!r}", field="plugin", allowed=", ".join(str(p.get("name")) for p in welcome.plugins)
+    )
+
+
+def _declared(kind: type[Spec], declared: Mapping[str, object]) -> Spec:
     try:
-        return PlannerSpec.model_validate(declared)
+        return kind.model_validate(declared)
     except ValidationError as problem:
         error = invalid_input_from(problem)
         raise IncompatiblePeerError(
-            f"planner {declared.get('name')!r}: {error.message}", field=error.field, allowed=error.allowed
+            f"{declared.get('name')!r} declares {error.message}", field=error.field, allowed=error.allowed
         ) from problem
 
 

@@ -15,13 +15,16 @@ import numpy as np
 import zmq
 
 from shared.errors import IncompatiblePeerError, MotionLoopError
+from shared.motion.characters import BUILDS, build
 from shared.motion.ik import clip_from_positions, standing_clip
 from shared.motion.skeleton import CANONICAL
-from shared.plugins.checks import check_plan, planner_spec
-from shared.plugins.interfaces import Planner, PlannerSpec
+from shared.plugins.checks import check_plan, planner_spec, tracker_spec
+from shared.plugins.interfaces import Planner, PlannerSpec, TrackerSpec
 from shared.protocol.messages import (
     CONDITIONS,
+    LOG_HZ,
     PLANNER_FPS,
+    SERVO_TARGETS,
     TICK_HZ,
     CloseCharacter,
     CreateCharacter,
@@ -157,15 +160,19 @@ def check_tracker_endpoint(
     with ServiceClient(endpoint, "tracker", plugin=plugin, context=context, curve=curve, name="conformance") as client:
         character_id = f"conformance-{uuid.uuid4().hex[:12]}"
         try:
-            client.connect(timeout_s)
-            client.ask(CreateCharacter(tracker=plugin), StateFrame, character_id, timeout_s=timeout_s)
+            spec = tracker_spec(client.connect(timeout_s), plugin)
+            character = "human" if spec.characters is None else (*spec.characters, "human")[0]
+            create = CreateCharacter(character=character, tracker=spec.name)
+            client.ask(create, StateFrame, character_id, timeout_s=timeout_s)
         except MotionLoopError as error:
             return [CheckResult("handshake", False, error.message)]
         try:
             return [
                 CheckResult("handshake", True),
+                _result("spec", lambda: _tracker_spec(spec)),
                 _result("stands", lambda: _stands(client, character_id, timeout_s)),
                 _result("log", lambda: _log(client, character_id, timeout_s)),
+                _result("actions", lambda: _actions(client, character_id, spec, timeout_s)),
                 _result("bad requests", lambda: _bad_track(client, character_id, timeout_s)),
             ]
         finally:
@@ -283,11 +290,29 @@ def _refused(action: Callable[[], object], field: str) -> None:
 # --- tracker --------------------------------------------------------------------------------------------------------
 
 
+def _tracker_spec(spec: TrackerSpec) -> None:
+    unknown = set(spec.characters or ()) - set(BUILDS)
+    _expect(not unknown, f"unknown characters {sorted(unknown)}, allowed {tuple(BUILDS)}")
+    _expect(spec.characters != (), "it drives no character")
+    latent = [space for space in spec.action_spaces if space != SERVO_TARGETS]
+    _expect(len(latent) <= 1, f"{len(latent)} spaces beside {SERVO_TARGETS}: {latent}, allowed one")
+
+
+def _holding(state: StateFrame, frames: int = 40, **fields: Any) -> Track:
+    """A plan of staying as it is, from the next tick on that is a frame."""
+    body = build(state.character)
+    still = np.repeat(np.asarray(state.body_pos_w_m)[None], frames, axis=0)
+    clip = clip_from_positions(still, PLANNER_FPS, body.skeleton, rebuild=True)
+    return Track(
+        start_tick=first_start_by(state.tick, PLANNER_FPS),
+        skeleton=body.skeleton_id,
+        **{"positions_w_m": clip.positions_w_m, "rotations_6d": clip.rotations_6d, **fields},
+    )
+
+
 def _stands(client: ServiceClient, character_id: str, timeout_s: float) -> None:
     state = client.ask(Observe(), StateFrame, character_id, timeout_s=timeout_s)
-    held = clip_from_positions(np.repeat(state.body_pos_w_m[None], 40, axis=0), PLANNER_FPS, rebuild=True)
-    track = Track(start_tick=0, positions_w_m=held.positions_w_m, rotations_6d=held.rotations_6d)
-    reply = client.ask(track, TrackReply, character_id, timeout_s=timeout_s)
+    reply = client.ask(_holding(state), TrackReply, character_id, timeout_s=timeout_s)
     _expect(reply.accepted, f"a plan of standing still is dropped: {reply.reason}")
     after = client.ask(Step(ticks=30), StateFrame, character_id, timeout_s=timeout_s)
     _expect(after.tick == state.tick + 30, f"30 ticks lead from tick {state.tick} to {after.tick}")
@@ -295,18 +320,31 @@ def _stands(client: ServiceClient, character_id: str, timeout_s: float) -> None:
 
 
 def _log(client: ServiceClient, character_id: str, timeout_s: float) -> None:
-    ticks = client.ask(GetTicks(start_tick=0, stop_tick=30), TickRange, character_id, timeout_s=timeout_s)
-    _expect(len(ticks.body_pos_w_m) == 30, f"{len(ticks.body_pos_w_m)} samples of 30 ticks")
-    steps_m = np.linalg.norm(np.diff(ticks.body_pos_w_m, axis=0), axis=-1)
-    _expect(float(steps_m.max()) < 0.5, f"a body moves {steps_m.max():.2f} m within a tick")
+    for rate_hz in (TICK_HZ, 24, LOG_HZ):
+        asked = GetTicks(start_tick=0, stop_tick=30, rate_hz=rate_hz)
+        ticks = client.ask(asked, TickRange, character_id, timeout_s=timeout_s)
+        _expect(len(ticks.body_pos_w_m) == rate_hz, f"{len(ticks.body_pos_w_m)} samples of a second at {rate_hz} Hz")
+        steps_m = np.linalg.norm(np.diff(ticks.body_pos_w_m, axis=0), axis=-1)
+        _expect(float(steps_m.max()) < 0.5, f"a body moves {steps_m.max():.2f} m within {1 / rate_hz:.3f} s")
+
+
+def _actions(client: ServiceClient, character_id: str, spec: TrackerSpec, timeout_s: float) -> None:
+    state = client.ask(Observe(), StateFrame, character_id, timeout_s=timeout_s)
+    targets = np.repeat(np.asarray(state.hinge_pos_rad)[None], 3, axis=0)
+    alien = _holding(state, actions=targets, action_space="conformance-alien")
+    _refused(lambda: client.request(alien, character_id, timeout_s=timeout_s), "action_space")
+    if SERVO_TARGETS in spec.action_spaces:
+        held = _holding(state, actions=targets, action_space=SERVO_TARGETS)
+        reply = client.ask(held, TrackReply, character_id, timeout_s=timeout_s)
+        _expect(reply.accepted, f"a plan with servo targets is dropped: {reply.reason}")
+        narrow = _holding(state, actions=targets[:, 1:], action_space=SERVO_TARGETS)
+        _refused(lambda: client.request(narrow, character_id, timeout_s=timeout_s), "actions")
 
 
 def _bad_track(client: ServiceClient, character_id: str, timeout_s: float) -> None:
-    clip = standing_clip(40, PLANNER_FPS)
     state = client.ask(Observe(), StateFrame, character_id, timeout_s=timeout_s)
-    start_tick = first_start_by(state.tick, PLANNER_FPS)
-    exploding = clip.positions_w_m + np.arange(40)[:, None, None] * 50.0
-    bad = Track(start_tick=start_tick, positions_w_m=exploding, rotations_6d=clip.rotations_6d)
+    away = np.asarray(_holding(state).positions_w_m) + np.arange(40)[:, None, None] * 50.0
+    bad = _holding(state, positions_w_m=away)
     _refused(lambda: client.request(bad, character_id, timeout_s=timeout_s), "positions_w_m")
     after = client.ask(Observe(), StateFrame, character_id, timeout_s=timeout_s)
     _expect(after.plan_end_tick == state.plan_end_tick, "a refused plan has changed the character")

@@ -61,14 +61,17 @@ def goal(view: BodyView, plan_tick: int) -> PlanGoal:
     return PlanGoal(targets=(JointTarget(joint="traj", position_w_m=place, arrival_tick=max(60, plan_tick + 1)),))
 
 
-async def drive(planner: str, tracker: str) -> tuple[Trace, int]:
-    """Ninety ticks under `goal`: what happened at each, and how many plans were made."""
+async def drive(planner: str, tracker: str, then: str | None = None) -> tuple[Trace, int]:
+    """Ninety ticks under `goal`, `then` planning from the thirtieth on: what happened, and how many plans were made."""
     services = Services(await connect(planner, "planner"), await connect(tracker, "tracker"))
     loop = CharacterLoop(str(uuid.uuid4()), services, LOCKSTEP, seed=1)
     try:
         driver = LockstepDriver(loop, await loop.ask_tracker(StateFrame, CreateCharacter()))
         parts, tick = [], 0
         while tick < TICKS:
+            if then is not None and tick >= 30:
+                await services.planner.client.close()
+                services.planner, then = await connect(then, "planner"), None
             cycle = await driver.cycle(goal)
             assert cycle.planner_error is None
             assert all(plan.accepted for plan in cycle.plans)
@@ -106,6 +109,17 @@ def test_what_conformance_accepts_the_loop_can_run(
         lasts_ticks = min(plan, 2 * fps) * 30 // fps  # two seconds, if it can
         period = max(min(replan * 30 // fps, lasts_ticks) // starts_every, 1) * starts_every
         assert plans == -(-TICKS // period)
+
+
+@pytest.mark.parametrize(("before", "after"), [(20, 30), (60, 8), (5, 40)])
+def test_a_planner_of_another_rate_takes_over_on_the_way(tracker: TrackerService, before: int, after: int) -> None:
+    old, new = (gliding(fps=fps, prefix_frames=fps // 4, plan_frames=3 * fps) for fps in (before, after))
+    with hosting(old) as first, hosting(new) as second:
+        trace, _ = asyncio.run(drive(first.endpoint, tracker.endpoint, then=second.endpoint))
+    np.testing.assert_allclose(trace.pos_w_m[-1, 0, :2], GOAL_M, atol=0.02)
+    steps_m = np.linalg.norm(np.diff(trace.pos_w_m[:, 0, :2], axis=0), axis=-1)
+    assert steps_m.max() < 1.5 * np.linalg.norm(GOAL_M) / 60
+    assert steps_m[20:55].min() > 0.5 * np.linalg.norm(GOAL_M) / 60, "it never stops on the way"
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from shared.motion.skeleton import CANONICAL
+from shared.plugins.conformance import check_tracker_endpoint, require
 from shared.protocol.control import Health, HealthReport, Ok
 from shared.protocol.messages import (
     CloseCharacter,
@@ -25,7 +26,11 @@ from shared.protocol.messages import (
 )
 from shared.protocol.transport import ServiceClient, StateSubscriber
 from tests.tracker_service.support import same, standing_plan, step, ticks, track
+from tracker_service.policy.baselines import PdTracker
 from tracker_service.service.service import TrackerService
+from tracker_service.service.settings import TrackerServiceSettings
+from tracker_service.simulation.character_spec import HUMAN
+from tracker_service.simulation.humanoid import humanoid
 
 
 def create(client: ServiceClient, character_id: str, **changes: object) -> StateFrame:
@@ -228,3 +233,23 @@ def test_a_look_is_the_state_and_the_ticks_since(client: ServiceClient) -> None:
     assert (nothing_new.start_tick, len(nothing_new.fallen)) == (920, 1), "the present tick is always there"
     long_ago = client.ask(Observe(since_tick=0), Look, "looked")
     assert (long_ago.start_tick, len(long_ago.fallen)) == (21, 900)
+
+
+@pytest.mark.parametrize("name", ["pd", "kinematic", "learned"])
+def test_the_built_in_trackers_keep_the_contract(service: TrackerService, name: str) -> None:
+    require(check_tracker_endpoint(service.endpoint, name))
+
+
+def test_conformance_finds_what_a_tracker_declares_wrongly() -> None:
+    class Boastful(PdTracker):
+        def __init__(self) -> None:
+            human = humanoid(HUMAN)
+            super().__init__(human.damping / human.stiffness, human.skeleton.id)
+            spaces = {"characters": ("human", "giant"), "action_spaces": ("codes", "other-codes")}
+            self.spec = self.spec.model_copy(update=spaces)
+
+    settings = TrackerServiceSettings(endpoint="tcp://127.0.0.1:0")
+    with TrackerService(settings, trackers={"pd": Boastful}) as boasting:
+        failed = [result for result in check_tracker_endpoint(boasting.endpoint) if not result.passed]
+    assert [result.name for result in failed] == ["spec"]
+    assert "giant" in failed[0].detail
