@@ -11,11 +11,12 @@ from rich.console import Console
 
 from orchestrator.api.listener import check_port
 from orchestrator.cli.delegate import run_quietly
+from orchestrator.core.keeper import Keeper
 from orchestrator.core.supervise import Stack, StackOptions
 from orchestrator.store.lock import check_free
 
 MODULES = {"planner": "planner_service", "tracker": "tracker_service", "orchestrator": "orchestrator"}
-LOOK_S = 0.5
+LOOK_S = 0.2
 
 
 class _Stop(Exception):
@@ -32,7 +33,7 @@ def serve_one(name: str, arguments: list[str]) -> int:
 
 
 def serve_all(options: StackOptions, console: Console) -> int:
-    """Run all three until SIGTERM or Ctrl-C (0), or until one ends by itself (1); none is left behind.
+    """Run all three until SIGTERM or Ctrl-C; one that ends is started again. None is left behind. Exit code 0.
 
     Raises:
         ConflictError: the port or the data folder is taken; nothing was started then.
@@ -46,10 +47,10 @@ def serve_all(options: StackOptions, console: Console) -> int:
     try:
         url = stack.start()
         console.print(f"[bold]{url}[/bold]  API: {url}/docs  (Ctrl-C ends all)")
-        while not (dead := stack.dead()):
+        keeper = Keeper(stack, console.print)
+        while True:
             time.sleep(LOOK_S)
-        console.print(f"[red]{', '.join(dead)} ended; stopping the others[/red]")
-        return 1
+            keeper.look()
     except _Stop:
         return 0
     finally:

@@ -19,6 +19,8 @@ from shared.errors import UnavailableError
 READY_TIMEOUT_S = 120.0
 STOP_TIMEOUT_S = 8.0
 _PR_SET_PDEATHSIG = 1
+_FREE = "tcp://127.0.0.1:0"
+_ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
 
 Say = Callable[[str], None]
 
@@ -106,6 +108,18 @@ class ServiceProcess:
                 self.address = address
                 return address
 
+    def hear(self) -> str | None:
+        """Like `wait_ready`, at once: the address if the process has said by now that it is ready, else None.
+
+        Raises UnavailableError when the process has ended first.
+        """
+        try:
+            return self.wait_ready(0.0)
+        except UnavailableError:
+            if self.alive:
+                return None
+            raise
+
     def ask_to_end(self) -> None:
         """SIGTERM, without waiting."""
         if self._process is not None and self._process.poll() is None:
@@ -171,17 +185,9 @@ class Stack:
     def __init__(self, options: StackOptions | None = None, say: Say | None = None):
         self.options = options or StackOptions()
         self._say = say or (lambda line: None)
-        free = "tcp://127.0.0.1:0"
-        python = sys.executable
-        one_thread = {name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
-        self.planner = ServiceProcess(
-            "planner", [python, "-m", "planner_service", "--endpoint", free, *self.options.planner_args], one_thread
-        )
-        self.tracker = ServiceProcess(
-            "tracker", [python, "-m", "tracker_service", "--endpoint", free, *self.options.tracker_args], one_thread
-        )
+        self.planner = self._planner(_FREE)
+        self.tracker = self._tracker(_FREE)
         self.orchestrator: ServiceProcess | None = None
-        self._one_thread = one_thread
         self.url = ""
 
     def start_services(self, timeout_s: float = READY_TIMEOUT_S) -> tuple[str, str]:
@@ -196,7 +202,7 @@ class Stack:
         """Start all three; returns the URL. Ends what was started when one fails."""
         try:
             planner, tracker = self.start_services(timeout_s)
-            self.orchestrator = self._orchestrator(planner, tracker)
+            self.orchestrator = self._orchestrator(planner, tracker, self.options.port)
             self.orchestrator.start()
             self.url = self.orchestrator.wait_ready(timeout_s)
             self._say(f"orchestrator: {self.url} (pid {self.orchestrator.pid})")
@@ -207,15 +213,34 @@ class Stack:
 
     def dead(self) -> list[str]:
         """Names of processes that were started and have ended."""
-        return [p.name for p in self._all() if p.pid and not p.alive]
+        return [p.name for p in self.processes() if p.pid and not p.alive]
+
+    def restart(self, name: str) -> ServiceProcess:
+        """Start a process that has ended again, where it listened before, so that the others find it; not yet ready.
+
+        Raises:
+            KeyError: nothing of this name was ready before.
+        """
+        old = {p.name: p for p in self.processes() if p.address}[name]
+        old.stop()
+        if old is self.planner:
+            new = self.planner = self._planner(old.address)
+        elif old is self.tracker:
+            new = self.tracker = self._tracker(old.address)
+        else:
+            port = int(old.address.rpartition(":")[2])
+            new = self.orchestrator = self._orchestrator(self.planner.address, self.tracker.address, port)
+        new.address = old.address
+        new.start()
+        return new
 
     def stop(self) -> None:
         """End all: the orchestrator first, then the services together. Safe to call twice."""
         if self.orchestrator is not None:
             self.orchestrator.stop()
-        for process in self._all():
+        for process in self.processes():
             process.ask_to_end()
-        for process in self._all():
+        for process in self.processes():
             process.stop()
 
     def __enter__(self) -> Stack:
@@ -227,14 +252,23 @@ class Stack:
     ) -> None:
         self.stop()
 
-    def _all(self) -> list[ServiceProcess]:
+    def processes(self) -> list[ServiceProcess]:
+        """Those there are: the orchestrator, once it was started, planner and tracker."""
         return [p for p in (self.orchestrator, self.planner, self.tracker) if p is not None]
 
-    def _orchestrator(self, planner: str, tracker: str) -> ServiceProcess:
+    def _planner(self, endpoint: str) -> ServiceProcess:
+        command = [sys.executable, "-m", "planner_service", "--endpoint", endpoint, *self.options.planner_args]
+        return ServiceProcess("planner", command, _ONE_THREAD)
+
+    def _tracker(self, endpoint: str) -> ServiceProcess:
+        command = [sys.executable, "-m", "tracker_service", "--endpoint", endpoint, *self.options.tracker_args]
+        return ServiceProcess("tracker", command, _ONE_THREAD)
+
+    def _orchestrator(self, planner: str, tracker: str, port: int) -> ServiceProcess:
         options = self.options
         command = [
             sys.executable, "-m", "orchestrator", "--planner", planner, "--tracker", tracker,
-            "--host", options.host, "--port", str(options.port), *options.orchestrator_args,
+            "--host", options.host, "--port", str(port), *options.orchestrator_args,
         ]  # fmt: skip
         for flag, value in (
             ("--planner-plugin", options.planner_plugin),
@@ -242,4 +276,4 @@ class Stack:
             ("--data-dir", options.data_dir),
         ):
             command += [] if value is None else [flag, value]
-        return ServiceProcess("orchestrator", command, self._one_thread)
+        return ServiceProcess("orchestrator", command, _ONE_THREAD)

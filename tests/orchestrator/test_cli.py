@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import re
 import signal
 import subprocess
 import sys
@@ -132,15 +134,19 @@ def test_eval_tasks_writes_the_fields_and_resumes(tmp_path: Path) -> None:
     assert len((tmp_path / "rows.jsonl").read_text().splitlines()) == 2
 
 
-def test_serve_all_ends_everything_on_sigterm(tmp_path: Path) -> None:
+def test_serve_all_keeps_three_processes_up_and_ends_everything_on_sigterm(tmp_path: Path) -> None:
     process = subprocess.Popen(
         [*MOTIONLOOP, "serve", "all", "--port", "0", "--data-dir", str(tmp_path), "--planner", "stand"],
         stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert process.stderr is not None
-    for line in process.stderr:
-        if "/docs" in line:
-            break
+    said = ""
+    while "/docs" not in said:
+        said += process.stderr.readline()
+    os.kill(int(re.findall(r"planner: \S+ \(pid (\d+)\)", " ".join(said.split()))[0]), signal.SIGKILL)
+    while "is back" not in " ".join(said.split()):
+        said += process.stderr.readline()
+    assert "planner was killed by SIGKILL; it is started again" in " ".join(said.split())
     children = psutil.Process(process.pid).children(recursive=True)
     assert len(children) >= 3
     process.send_signal(signal.SIGTERM)
