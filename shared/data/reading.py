@@ -17,7 +17,7 @@ from shared.errors import InvalidInputError
 from shared.motion.body import Array, origin_start
 from shared.motion.clip import MotionClip
 from shared.motion.ik import clip_from_positions
-from shared.motion.io.axes import unit_name
+from shared.motion.io.axes import unit_name, upright_share
 from shared.motion.io.files import read_motion
 from shared.motion.io.options import ReadOptions
 from shared.motion.io.raw import LeftOutError
@@ -26,6 +26,8 @@ FPS = 30.0
 _REST_JUMP_M = 0.25
 _LEAST_FRAMES = 4
 _UNEVEN_M = 0.35
+_FASTEST_MPS = 15.0
+_SELDOM = 0.02
 DEGENERATE = (ValueError, ArithmeticError, IndexError, np.linalg.LinAlgError)
 """What numerics raise on a skeleton that is none, such as one with all joints in one place."""
 
@@ -131,6 +133,10 @@ def load(path: str | Path, options: ReadOptions | None = None, calibration: Cali
             f"the ground under it differs by {quality.height_spread_m:.2f} m: uneven ground, or a wrong axis or unit "
             "(--up, --unit)"
         )
+    if upright_share(raw.positions_w_m, raw.landmarks()) < _SELDOM:
+        said.append("the body is hardly ever upright: it lies or crawls, or another axis is up (--up)")
+    if quality.max_joint_speed_mps > _FASTEST_MPS:
+        said.append(f"a joint moves at {quality.max_joint_speed_mps:.0f} m/s: broken frames, or a wrong rate or unit")
     clip = clip_from_positions(origin_start(positions), FPS, rebuild=True)
     way = travelled_m(clip.positions_w_m)
     return Loaded(clip, quality, len(raw), raw.fps, raw.up, raw.unit_m, raw.family, way, tuple(said))

@@ -134,14 +134,15 @@ def _calibrate_upright(raws: Sequence[RawMotion], marks: dict[str, int], segment
     out = {}
     for name, joint in segments.items():
         g = _rotations(raws, joint)
-        if name.endswith("_foot"):
-            side = name.removesuffix("_foot")
+        side = name.removesuffix("_foot")
+        if f"{side}_toe" in marks:
             toe = _stack(raws, marks[f"{side}_toe"]) - _stack(raws, marks[f"{side}_ankle"])
             planted = _planted(raws, marks, side)
             frame = _heading_frame(np.cross(_UP, toe))
             out[name] = _mean_rotation(np.swapaxes(g[planted], -1, -2) @ frame[planted])
         else:
-            frame = _heading_frame(across.get("pelvis" if name == "pelvis" else "chest", across["pelvis"]))
+            low = name == "pelvis" or name.endswith("_foot")
+            frame = _heading_frame(across.get("pelvis" if low else "chest", across["pelvis"]))
             out[name] = _mean_rotation(np.swapaxes(g[upright], -1, -2) @ frame[upright])
     return out
 

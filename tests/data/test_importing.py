@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import json
 import os
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner, Result
 
 from orchestrator.cli import main as cli
 from shared.data.importer import import_path, load_clip
+from shared.data.reading import read_all
 from shared.errors import InvalidInputError
 from shared.motion.io.files import read_motion
 from shared.motion.io.options import ReadOptions
@@ -432,6 +436,40 @@ def test_a_file_that_may_not_be_read_is_named(tmp_path: Path) -> None:
     (tmp_path / "walk.bvh").chmod(0)
     shown = command(tmp_path / "walk.bvh", tmp_path / "out")
     assert shown.exit_code == 1 and "error: walk.bvh: cannot be opened" in shown.output
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (ReadOptions(up="z"), "--up, --unit"),
+        (ReadOptions(up="x"), "hardly ever upright"),
+        (ReadOptions(fps=1000), "m/s"),
+    ],
+)
+def test_a_wrong_axis_or_rate_shows_in_a_warning(tmp_path: Path, options: ReadOptions, said: str) -> None:
+    (tmp_path / "walk.bvh").write_text(plain())
+    (entry,) = import_path(tmp_path / "walk.bvh", tmp_path / "out", options)
+    assert any(said in warning for warning in entry["warnings"]), entry
+
+
+_SHORT = "\n".join(plain().splitlines()[:-80]).replace("Frames: 90", "Frames: 10") + "\n"
+_BITS = ("{", "}", "nan", "-", "1e300", "JOINT x", "0", "\n", " ", "MOTION\n", "CHANNELS 2 Xrotation", "ROOT y\n{", "")
+
+
+@given(data=st.data())
+def test_whatever_is_broken_in_a_file_it_is_read_or_refused_by_name(data: st.DataObject) -> None:
+    kind = data.draw(st.sampled_from(["bvh", "asf", "amc"]))
+    text = {"bvh": _SHORT, "asf": asf(), "amc": amc()}[kind]
+    at = data.draw(st.integers(0, len(text) - 1))
+    cut = data.draw(st.sampled_from([0, 1, 5, 30, len(text)]))
+    text = text[:at] + data.draw(st.sampled_from(_BITS)) + text[at + cut :]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        path = asf_amc(folder, asf(), amc())
+        path = {"bvh": folder / "a.bvh", "asf": folder / "01.asf", "amc": path}[kind]
+        path.write_text(text)
+        (outcome,) = read_all([path.with_name("01_01.amc") if kind == "asf" else path], folder)
+    assert outcome.loaded is not None or outcome.error or outcome.left_out
 
 
 def test_a_skeleton_in_one_point_is_refused_and_the_next_is_read(tmp_path: Path) -> None:

@@ -55,6 +55,22 @@ def _axis_matrix(angles: Array, order: str, radians: bool) -> Array:
     return euler_matrix(order[::-1], angles if radians else np.radians(angles))
 
 
+def _triple(words: list[str]) -> Array:
+    out = np.array([number(word) for word in words])
+    if len(out) != 3 or not np.isfinite(out).all():
+        raise ValueError("three numbers are needed")
+    return out
+
+
+def _channels(words: list[str]) -> list[str]:
+    """Names such as tx, rz and l (a bone's length) in lower case; ValueError for others."""
+    out = [word.lower() for word in words]
+    strange = [word for word in out if word not in ("tx", "ty", "tz", "rx", "ry", "rz", "l")]
+    if strange:
+        raise ValueError(f"no channel is called {strange[0]!r}")
+    return out
+
+
 def _read_asf(path: Path) -> _Skeleton:
     """An ASF file. Its angles are in degrees unless `:units` says `angle rad`."""
     out = _Skeleton()
@@ -76,11 +92,11 @@ def _read_asf(path: Path) -> _Skeleton:
                 out.radians = words[1].lower().startswith("rad")
             elif section == "root":
                 if key == "order":
-                    out.root_order = [w.lower() for w in words[1:]]
+                    out.root_order = _channels(words[1:])
                 elif key == "axis":
                     axis_order = words[1]
                 elif key == "orientation":
-                    orientation = np.array([number(w) for w in words[1:4]])
+                    orientation = _triple(words[1:4])
                 out.root_axis = _axis_matrix(orientation, axis_order, out.radians)
             elif section == "bonedata":
                 if key == "begin":
@@ -88,13 +104,15 @@ def _read_asf(path: Path) -> _Skeleton:
                 elif key == "name":
                     name = words[1]
                 elif key == "direction":
-                    bone.direction = np.array([number(w) for w in words[1:4]])
+                    bone.direction = _triple(words[1:4])
                 elif key == "length":
                     bone.length = number(words[1])
+                    if not math.isfinite(bone.length):
+                        raise ValueError("a length is finite")
                 elif key == "axis":
-                    bone.axis = _axis_matrix(np.array([number(w) for w in words[1:4]]), words[4], out.radians)
+                    bone.axis = _axis_matrix(_triple(words[1:4]), words[4], out.radians)
                 elif key == "dof":
-                    bone.dof = [w.lower() for w in words[1:]]
+                    bone.dof = _channels(words[1:])
                 elif key == "end":
                     out.bones[name] = bone
             elif section == "hierarchy" and key not in ("begin", "end"):
@@ -165,18 +183,21 @@ def _read_amc(path: Path, widths: Mapping[str, int]) -> _Motion:
 
 
 def _ordered(links: list[tuple[str, str]], path: Path, bones: Mapping[str, _Bone]) -> dict[str, str]:
-    """Parent of each bone, parents before their children."""
+    """Parent of each bone, parents before their children, otherwise in the order of the file."""
     out: dict[str, str] = {}
     left = list(links)
     while left:
-        now = [(child, parent) for child, parent in left if parent == "root" or parent in out]
-        if not now:
-            raise InvalidInputError(f"{path.name}: {left[0][1]} of the hierarchy hangs on no root", field="asf")
-        for child, parent in now:
-            if child in out or child not in bones:
+        later = []
+        for child, parent in left:
+            if parent != "root" and parent not in out:
+                later.append((child, parent))
+            elif child in out or child not in bones:
                 raise InvalidInputError(f"{path.name}: {child} of the hierarchy is not defined once", field="asf")
-            out[child] = parent
-        left = [link for link in left if link not in now]
+            else:
+                out[child] = parent
+        if len(later) == len(left):
+            raise InvalidInputError(f"{path.name}: {left[0][1]} of the hierarchy hangs on no root", field="asf")
+        left = later
     return out
 
 

@@ -71,10 +71,19 @@ def rest_up(rest: Array, marks: Mapping[str, int]) -> str | None:
     return axis_of(legs[0] if trunk is None else legs[0] + trunk[0])
 
 
+def upright_share(positions: Array, marks: Mapping[str, int]) -> float:
+    """Share of the frames of a motion (T, J, 3) with Z up in which the body is held upright, leaning 37 degrees at most."""
+    return float(np.mean(_body(positions, marks)[:, 2] > _UPRIGHT))
+
+
+def _body(positions: Array, marks: Mapping[str, int]) -> Array:
+    legs, trunk = _body_up(positions, marks)
+    return legs if trunk is None else normalize(legs + trunk)
+
+
 def posture_up(positions: Array, marks: Mapping[str, int]) -> tuple[str, float]:
     """The axis along which the body is held most, and the share of frames in which it is upright along it."""
-    legs, trunk = _body_up(positions, marks)
-    body = legs if trunk is None else normalize(legs + trunk)
+    body = _body(positions, marks)
     mean = np.concatenate([np.clip(body, 0.0, None), np.clip(-body, 0.0, None)], axis=1).mean(axis=0)
     # Without a rest pose to go by, the usual axes come first: another must be held much more.
     i = int((mean * np.array([0.6, 1.0, 0.999, 0.6, 0.6, 0.6])).argmax())

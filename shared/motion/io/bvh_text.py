@@ -179,10 +179,10 @@ class _Reader:
 
     def _rows(self, rows: list[int], width: int) -> Array:
         """Values (T, width). A frame may be wrapped over several lines, if all frames are in the same way."""
-        parsed: list[list[float]] = []
+        parsed: list[Array] = []
         for index in rows:
             try:
-                parsed.append(numbers(self._lines[index], width))
+                parsed.append(np.array(numbers(self._lines[index], width)))
             except ValueError as error:
                 self.fail(index, str(error))
         sizes = [len(p) for p in parsed]
@@ -190,7 +190,7 @@ class _Reader:
         parts = ends.index(width) + 1 if width in ends else 1
         if parts > 1 and sizes == sizes[:parts] * (len(sizes) // parts):
             rows, sizes = rows[::parts], [width] * (len(sizes) // parts)
-            parsed = np.concatenate([np.array(p) for p in parsed]).reshape(-1, width).tolist()
+            parsed = list(np.concatenate(parsed).reshape(-1, width))
         for index, size in zip(rows, sizes, strict=True):
             if size != width:
                 last = " (the last row: the file seems to be cut off)" if index == rows[-1] and size < width else ""

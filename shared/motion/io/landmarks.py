@@ -107,7 +107,7 @@ def find_landmarks(
         InvalidInputError: a hip, knee or ankle cannot be told by its name.
     """
     given = mapped(joints, names) if joints else {}
-    if ends and "lfemur" in names and "lhipjoint" in names:
+    if ends and {ACCLAIM[mark] for mark in REQUIRED} <= set(names):
         return {mark: names.index(bone) for mark, bone in ACCLAIM.items() if bone in names} | given
     before, after = shared_words(names)
     bare = [normalise(name, before, after) for name in names]
@@ -181,8 +181,9 @@ def find_segments(
     Raises:
         InvalidInputError: the legs do not hang together.
     """
-    if ends and "lfemur" in names and "lhipjoint" in names:
-        return {s: names.index(b) for s, b in ACCLAIM_SEGMENTS.items() if b in names}
+    if ends and {ACCLAIM[mark] for mark in REQUIRED} <= set(names):
+        found = {s: names.index(b) for s, b in ACCLAIM_SEGMENTS.items() if b in names}
+        return {f"{side}_foot": marks[f"{side}_ankle"] for side in ("left", "right")} | found
     out: dict[str, int] = {"pelvis": common_ancestor(parents, marks["left_hip"], marks["right_hip"])}
     if out["pelvis"] < 0:
         raise InvalidInputError("the two legs hang on different roots", field="skeleton")
