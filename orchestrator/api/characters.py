@@ -69,9 +69,11 @@ async def delete(core: Core, character_id: CharacterId) -> Response:
 async def command(
     core: Core, character_id: CharacterId, body: Annotated[Command, Body(openapi_examples=_COMMANDS)]
 ) -> CommandAccepted:
-    """Tell it what to do; the last command holds until the next."""
-    tick = core.character(str(character_id)).set_command(body)
-    return CommandAccepted(tick=tick, command=body)
+    """Tell it what to do; the last command holds until the next. The reply says how it was understood."""
+    session = core.character(str(character_id))
+    tick = session.set_command(body)
+    reading = await session.reading(body)
+    return CommandAccepted(tick=tick, command=body, **dict(reading))
 
 
 @router.post("/{character_id}/impulses", status_code=202)

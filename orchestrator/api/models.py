@@ -13,7 +13,7 @@ from orchestrator.core.episode import EpisodeOutcome, EpisodeSpec
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.base import Name
 from shared.protocol.messages import StateFrame
-from shared.protocol.rest import CharacterFields, EpisodeFields, StateFields
+from shared.protocol.rest import CharacterFields, CommandReading, EpisodeFields, StateFields
 from shared.tasks.interface import heading_from_positions
 
 MAX_IMPULSE_NS = 500.0
@@ -69,8 +69,8 @@ class CharacterList(BaseModel):
     items: list[CharacterBody]
 
 
-class CommandAccepted(BaseModel):
-    """A command was taken at `tick`."""
+class CommandAccepted(CommandReading):
+    """A command was taken at `tick`, and how."""
 
     tick: int
     command: Command

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from orchestrator.client import EpisodeInfo, Event
+from shared.protocol.rest import CommandReading
 
 
 class Follower:
@@ -66,4 +67,20 @@ def table(episode: EpisodeInfo) -> Table:
         measured = ", ".join(f"{name} {value:.2f}" for name, value in result.measures.items())
         strict = "[green]yes[/green]" if result.success_strict else f"[red]no[/red] ({result.reason})"
         out.add_row(result.name, strict, f"{result.seconds:.1f}", measured)
+    return out
+
+
+def notes(reading: CommandReading) -> list[str]:
+    """Lines on how a command was taken, where it was not taken as it was given."""
+    out = []
+    if reading.dropped or len(reading.steps) > 1:
+        left_out = f" (left out: {'; '.join(reading.dropped)})" if reading.dropped else ""
+        out.append(f"understood as: {reading.understood}{left_out}")
+    if reading.nearest is not None:
+        near = reading.nearest
+        out.append(f"far from all it was trained on; nearest: {near.text!r} ({near.similarity:.2f} of 1)")
+    if reading.ignored_conditions:
+        out.append(f"this planner ignores: {', '.join(reading.ignored_conditions)}")
+    if reading.unreachable_joints:
+        out.append(f"this planner has no targets for: {', '.join(reading.unreachable_joints)}")
     return out

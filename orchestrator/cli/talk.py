@@ -13,7 +13,7 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from orchestrator.cli.common import JsonFile, Token, Url, client, console, write_json
-from orchestrator.cli.show import Follower, table
+from orchestrator.cli.show import Follower, notes, table
 from orchestrator.client import Character, Client, Episode, ServicesInfo
 from orchestrator.client.calls import DEFAULT_URL, FORMATS, Format
 from shared.errors import InvalidInputError, NotFoundError
@@ -36,10 +36,13 @@ def say(
     with client(url, token) as server:
         point = _point(target)
         chosen = server.characters.get(character) if character else _newest(server) or server.character()
-        tick = chosen.say(text) if point is None else chosen.say(text, target=point, joint=joint)
-        console.print(f"character {chosen.id}: taken at tick {tick}", highlight=False)
+        taken = chosen.tell(text) if point is None else chosen.tell(text, target=point, joint=joint)
+        console.print(f"character {chosen.id}: taken at tick {taken.tick}", highlight=False)
+        for line in notes(taken):
+            console.print(line, style="yellow", markup=False, highlight=False)
         if json is not None:
-            write_json(json, {"character": chosen.id, "tick": tick, "text": text, "target": point, "joint": joint})
+            given = {"character": chosen.id, "text": text, "target": point, "joint": joint}
+            write_json(json, {**given, **taken.model_dump(mode="json")})
         if watch:
             _watch(chosen, None, None)
 

@@ -18,7 +18,7 @@ from websockets.exceptions import ConnectionClosedOK, InvalidHandshake, WebSocke
 from orchestrator.client import calls
 from orchestrator.client.calls import Address, Call, CharacterOptions, CommandOptions, EpisodeOptions, Format
 from orchestrator.client.errors import ServerProblem, no_connection, problem_of, usable_proxies
-from orchestrator.client.models import CharacterInfo, EpisodeInfo, PlanGhost, State, event_of, message_of
+from orchestrator.client.models import CharacterInfo, CommandTaken, EpisodeInfo, PlanGhost, State, event_of, message_of
 from orchestrator.client.motion import Motion
 from orchestrator.client.sync import QUIET_S
 from shared.errors import ConflictError, DeadlineError, MotionLoopError
@@ -143,6 +143,10 @@ class AsyncCharacter:
 
     async def say(self, text: str | None = None, **options: Unpack[CommandOptions]) -> int:
         """Tell it what to do; returns the tick at which the command was taken."""
+        return (await self.tell(text, **options)).tick
+
+    async def tell(self, text: str | None = None, **options: Unpack[CommandOptions]) -> CommandTaken:
+        """As `say`; returns how the command was understood too."""
         return await self._client.do(calls.command(self.id, text, options))
 
     async def push(self, body: str, impulse_ns: Sequence[float]) -> State:

@@ -12,7 +12,7 @@ from urllib.parse import urlsplit, urlunsplit
 
 from pydantic import BaseModel, ValidationError
 
-from orchestrator.client.models import CharacterInfo, EpisodeInfo, State
+from orchestrator.client.models import CharacterInfo, CommandTaken, EpisodeInfo, State
 from orchestrator.client.motion import Motion
 from shared.errors import InvalidInputError, MalformedMessageError
 from shared.protocol.rest import ServiceInfo, ServicesInfo, StateFields
@@ -150,13 +150,13 @@ def delete_character(character_id: str) -> Call[None]:
     return Call("DELETE", f"/v1/characters/{character_id}", _nothing)
 
 
-def command(character_id: str, text: str | None, options: CommandOptions) -> Call[int]:
-    """Tell it what to do; the reply is the tick at which the command was taken."""
+def command(character_id: str, text: str | None, options: CommandOptions) -> Call[CommandTaken]:
+    """Tell it what to do; the reply says when the command was taken, and how."""
     body: dict[str, Any] = {"text": text, **options}
     joint = body.pop("joint", TRAJ)
     if "target" in body:
         body["target"] = {"joint": joint, "position_m": _point(body["target"], joint)}
-    return Call("POST", f"/v1/characters/{character_id}/commands", lambda data: int(json.loads(data)["tick"]), body)
+    return Call("POST", f"/v1/characters/{character_id}/commands", _model(CommandTaken), body)
 
 
 def push(character_id: str, body: str, impulse_ns: Sequence[float]) -> Call[State]:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from pydantic import Field, ValidationError
 
 from shared.errors import InvalidInputError, MalformedMessageError
-from shared.protocol.rest import CharacterFields, EpisodeFields, Event, StateFields
+from shared.protocol.rest import CharacterFields, CommandReading, EpisodeFields, Event, StateFields
 
 Array = npt.NDArray[np.float64]
 
@@ -93,6 +93,12 @@ class CharacterInfo(CharacterFields):
     def now(self) -> State:
         """Its state with numpy arrays."""
         return State.of(self.state)
+
+
+class CommandTaken(CommandReading):
+    """A command that was taken at `tick`, and how it was understood."""
+
+    tick: int
 
 
 class EpisodeInfo(EpisodeFields):

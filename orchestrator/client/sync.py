@@ -17,7 +17,7 @@ from websockets.sync.client import connect
 from orchestrator.client import calls
 from orchestrator.client.calls import Address, Call, CharacterOptions, CommandOptions, EpisodeOptions, Format
 from orchestrator.client.errors import ServerProblem, no_connection, problem_of, usable_proxies
-from orchestrator.client.models import CharacterInfo, EpisodeInfo, PlanGhost, State, event_of, message_of
+from orchestrator.client.models import CharacterInfo, CommandTaken, EpisodeInfo, PlanGhost, State, event_of, message_of
 from orchestrator.client.motion import Motion
 from shared.errors import ConflictError, DeadlineError, MotionLoopError
 from shared.protocol.rest import Event, ServiceInfo, ServicesInfo
@@ -150,6 +150,10 @@ class Character:
 
         Returns the tick at which the command was taken. Options: see CommandOptions.
         """
+        return self.tell(text, **options).tick
+
+    def tell(self, text: str | None = None, **options: Unpack[CommandOptions]) -> CommandTaken:
+        """As `say`; returns how the command was understood too."""
         return self._client.do(calls.command(self.id, text, options))
 
     def push(self, body: str, impulse_ns: Sequence[float]) -> State:

@@ -10,18 +10,21 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
-from orchestrator.core.command import STAND, Command, CommandGoal
+from orchestrator.core.command import STAND, Command
 from orchestrator.core.drivers import Cycle, Driver, LockstepDriver, RealtimeDriver
 from orchestrator.core.events import EventLog
 from orchestrator.core.fanout import Fanout
 from orchestrator.core.loop import CharacterLoop, view_of
+from orchestrator.core.reading import NearestSentences, read_command
 from orchestrator.core.services import Services
 from orchestrator.core.settings import LOCKSTEP, REALTIME, LoopSettings
+from orchestrator.core.steps import SteppedGoal
 from shared.errors import ConflictError, InvalidInputError, MotionLoopError, NotFoundError, TransportError
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.base import Name
 from shared.protocol.control import Ok
 from shared.protocol.messages import CloseCharacter, CreateCharacter, Impulse, Pacing, Seed, SetPacing, StateFrame, Vec3
+from shared.protocol.rest import CommandReading
 from shared.tasks.interface import BodyView, PlanGoal
 
 log = logging.getLogger(__name__)
@@ -60,7 +63,8 @@ class CharacterSession:
         self._services = services
         self._state: StateFrame | None = None
         self._driver: Driver | None = None
-        self._source = CommandGoal(STAND, 0)
+        self._source = SteppedGoal(STAND, 0)
+        self._nearest = NearestSentences()
         self._runner: asyncio.Task[None] | None = None
         self._lock = asyncio.Lock()
         self._refusals = 0
@@ -104,11 +108,24 @@ class CharacterSession:
         self._check_alive()
         command.check_reachable(view_of(self.state))
         if command != self.command or command.keyframes:  # repeated, it goes on: what counts down must not start anew
-            self._source = CommandGoal(command, self.state.tick)
+            self._source = SteppedGoal(command, self.state.tick)
         if command.replan == "now" and self._driver is not None:
             self._driver.replan_now()
         self.events.emit("command", self.state.tick, **command.model_dump(mode="json", exclude_none=True))
         return self.state.tick
+
+    async def reading(self, command: Command) -> CommandReading:
+        """How a command is taken by the planner in use; what is noteworthy of it becomes an event too."""
+        source = SteppedGoal(command, self.state.tick)
+        spec = self.loop.planner_spec()
+        reading = read_command(command, source.wording, spec)
+        if reading.understood is not None and "text" in spec.conditions:
+            found = [await self._nearest.of(self._services.planner, spec.name, step) for step in reading.steps]
+            far = sorted((near for near in found if near is not None), key=lambda near: near.similarity)
+            reading = reading.model_copy(update={"nearest": far[0] if far else None})
+        if reading.noteworthy:
+            self.events.emit("understood", self.state.tick, text=command.text, **reading.model_dump(mode="json"))
+        return reading
 
     async def advance(self, ticks: int) -> StateFrame:
         """Let a lockstep character, or a realtime one that is paused, go on for `ticks`."""
@@ -153,7 +170,7 @@ class CharacterSession:
         self._check_alive(even_failed=True)
         async with self._lock:
             self._state = await self.loop.reset()
-            self._source = CommandGoal(STAND, self._state.tick)
+            self._source = SteppedGoal(STAND, self._state.tick)
             if self._driver is not None:
                 await self._driver.drop_plan()
             self.events.emit("reset", self._state.tick)
@@ -227,7 +244,7 @@ class CharacterSession:
         if self._refusals > REFUSALS_IN_A_ROW:
             self._fail(f"the planner fails: {error.message}")
             return
-        self._source = CommandGoal(STAND, self.state.tick)
+        self._source = SteppedGoal(STAND, self.state.tick)
         driver.replan_now()
 
     def _take(self, cycle: Cycle) -> None:

@@ -12,9 +12,10 @@ from shared.errors import InvalidInputError
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import TICK_HZ, HeadingTarget, JointTarget
 from shared.tasks.approach import TRAJ, Approach
-from shared.tasks.builtin import STAND_TEXT, ReachTask
+from shared.tasks.builtin import ReachTask
 from shared.tasks.interface import BodyView, Obstacle, PlanGoal
 from shared.tasks.specs import MAX_TARGET_DISTANCE_M, Coordinate, Guidance, ReachSpec, ReachTuning, Text
+from shared.text.wording import STAND_TEXT
 
 JOINTS = (*CANONICAL.names, TRAJ)
 HEADING_S = 1.5

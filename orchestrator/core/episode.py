@@ -28,11 +28,11 @@ from shared.errors import ConflictError, MotionLoopError, NotFoundError, Transpo
 from shared.protocol.base import Name
 from shared.protocol.messages import TICK_HZ, CreateCharacter, Pacing, Seed, StateFrame
 from shared.protocol.rest import TaskResult
-from shared.tasks.builtin import STAND_TEXT
 from shared.tasks.factory import make_task
 from shared.tasks.interface import BodyView, PlanGoal, Task, Trace, Verdict
 from shared.tasks.rules import SAFE_TICKS, leaning, with_falls
 from shared.tasks.specs import TaskSpec, TimeLimit
+from shared.text.wording import STAND_TEXT
 
 STOOD_UP_TICKS = 15
 REPORT_TICKS = 15

@@ -68,6 +68,39 @@ class CharacterFields(Body):
     plans: int
 
 
+class NearestSentence(Body):
+    """A sentence that the planner was trained on, and how near a text is to it: 1 is the same, below 0.5 is far."""
+
+    text: str
+    similarity: float
+
+
+class CommandReading(Body):
+    """How a command was taken.
+
+    Attributes:
+        understood: its text without negated clauses, steps in order; a sentence for standing where nothing is left.
+        steps: what is done, one thing after the other; the last one holds.
+        dropped: clauses that say what not to do.
+        nearest: for a text far from every sentence the planner was trained on, the nearest of them; expect little.
+        ignored_conditions: what it asks that the planner does not honour.
+        unreachable_joints: joints of its target that the planner cannot place.
+    """
+
+    understood: str | None = None
+    steps: list[str] = []
+    dropped: list[str] = []
+    nearest: NearestSentence | None = None
+    ignored_conditions: list[str] = []
+    unreachable_joints: list[str] = []
+
+    @property
+    def noteworthy(self) -> bool:
+        """Whether it was taken otherwise than it was given, or not all of it is honoured."""
+        taken = bool(self.dropped) or len(self.steps) > 1 or self.nearest is not None
+        return taken or bool(self.ignored_conditions) or bool(self.unreachable_joints)
+
+
 class TaskResult(Body):
     """How one task of an episode went.
 

@@ -15,10 +15,10 @@ from shared.tasks.approach import TRAJ, Approach
 from shared.tasks.interface import BodyView, PlanGoal, Status, Trace, Verdict
 from shared.tasks.obey import kind_of, obeyed
 from shared.tasks.specs import HaltSpec, ReachSpec, ReachTuning, TextSpec
+from shared.text.wording import STAND_TEXT, understand
 
 Array = npt.NDArray[np.float64]
 
-STAND_TEXT = "a person is standing still."
 TURN_RADPS = 1.6
 """Natural speed of turning on the spot."""
 SLOW_MPS = 0.25
@@ -210,12 +210,19 @@ class HaltTask:
 
 
 class TextTask:
-    """Do what a sentence says for a while. Strict: the motion shows it (DESIGN 7), and no fall until 1 s after."""
+    """Do what a sentence says for a while. Strict: the motion shows it (DESIGN 7), and no fall until 1 s after.
+
+    What it says not to do is left out, and where it says one thing after the other ("walk, then wave") each has an
+    equal share of the time and is judged by itself (`shared.text.wording`).
+    """
 
     kind = "text"
 
     def __init__(self, spec: TextSpec):
         self._spec = spec
+        self._steps = understand(spec.text).steps
+        self._ticks = round(spec.duration_s * TICK_HZ)
+        self._start_tick = 0
 
     @property
     def label(self) -> str:
@@ -230,14 +237,21 @@ class TextTask:
     @property
     def upright(self) -> bool:
         """For all that has a rule; other texts may ask for lying down."""
-        return kind_of(self._spec.text) != "other"
+        return all(kind_of(step) != "other" for step in self._steps)
 
     def start(self, view: BodyView) -> None:
-        """Nothing to fix."""
+        """Its steps count from here."""
+        self._start_tick = view.tick
 
     def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
-        """The sentence alone."""
-        return PlanGoal(text=self._spec.text, guidance=self._spec.guidance)
+        """The step that is due, alone."""
+        done = sum(plan_tick - self._start_tick >= end for end in self._ends[:-1])
+        return PlanGoal(text=self._steps[done], guidance=self._spec.guidance)
+
+    @property
+    def _ends(self) -> list[int]:
+        """Ticks after the start at which the steps end."""
+        return [self._ticks * (i + 1) // len(self._steps) for i in range(len(self._steps))]
 
     def status(self, trace: Trace) -> Status:
         """Done when its time is over."""
@@ -245,9 +259,11 @@ class TextTask:
 
     def judge(self, trace: Trace) -> Verdict:
         """Obeyed within its duration; the settling time afterwards only counts for falls."""
-        ticks = round(self._spec.duration_s * TICK_HZ)
-        within = Trace(trace.start_tick, trace.pos_w_m[:ticks], trace.fallen[:ticks])
-        outcome = obeyed(self._spec.text, within)
-        fell = bool(trace.fallen.any())
-        ok = outcome.obeyed and len(within) >= ticks
-        return Verdict(ok and not fell, ok, ok, fell, within.duration_s, outcome.measures)
+        fell, ends = bool(trace.fallen.any()), self._ends
+        outcomes = [
+            obeyed(step, Trace(trace.start_tick + start, trace.pos_w_m[start:end], trace.fallen[start:end]))
+            for step, start, end in zip(self._steps, [0, *ends], ends, strict=False)
+        ]
+        ok = all(outcome.obeyed for outcome in outcomes) and len(trace) >= self._ticks
+        measures = {name: value for outcome in outcomes for name, value in outcome.measures.items()}
+        return Verdict(ok and not fell, ok, ok, fell, min(len(trace), self._ticks) / TICK_HZ, measures)

@@ -56,6 +56,27 @@ def test_plans_land_and_the_last_target_is_reached(stack_with_dip: Stack, interv
     asyncio.run(asyncio.wait_for(drag(*endpoints, interval_s), GIVE_UP_S))
 
 
+async def ask(planner: str, tracker: str) -> None:
+    services = Services(await connect(planner, "planner", "dip"), await connect(tracker, "tracker", "kinematic"))
+    session = CharacterSession("reader", CharacterSpec(pacing="lockstep"), services, EventLog())
+    try:
+        await session.start()
+        far = await session.reading(Command(text="wave, then bake a cake"))
+        assert far.nearest is not None and far.nearest.similarity < 0.5
+        assert (await session.reading(Command(text="somebody jogs"))).nearest is None
+        elbow = Command(target=Target(joint="left_elbow", position_m=(0.3, 0.3, 1.2)))
+        assert (await session.reading(elbow)).unreachable_joints == ["left_elbow"]
+        said = [event.data for event in session.events.since(0) if event.type == "understood"]
+        assert [event["text"] for event in said] == ["wave, then bake a cake", None]
+    finally:
+        await session.close()
+        await services.close()
+
+
+def test_a_text_unlike_all_that_was_trained_is_answered_with_the_nearest(stack_with_dip: Stack) -> None:
+    asyncio.run(asyncio.wait_for(ask(stack_with_dip.planner.address, stack_with_dip.tracker.address), GIVE_UP_S))
+
+
 @pytest.fixture(scope="module")
 def stack_with_dip(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
     data: Path = tmp_path_factory.mktemp("data")

@@ -1,7 +1,7 @@
 // The command box: history, suggestions, and targets that come from the 3D view or from numbers.
 
 import { call } from "./api.js";
-import { attempt, byId, el, jointWords } from "./dom.js";
+import { attempt, byId, el, jointWords, toast } from "./dom.js";
 import { jointPosition, on, update, view } from "./store.js";
 
 const HISTORY_KEY = "motionloop.history";
@@ -17,11 +17,19 @@ const REACHING = {
   left_foot: "a person lifts the left foot.", right_foot: "a person lifts the right foot.",
 };
 
-/** Send a command to the character shown; says what is wrong with it. */
+/** Send a command to the character shown; resolves to how it was taken, or throws what is wrong with it. */
 export async function send(command) {
   const { watching } = view;
   if (watching?.kind !== "character") throw new Error("go back to the character to give it commands");
-  await call("POST", `/v1/characters/${watching.id}/commands`, command);
+  return call("POST", `/v1/characters/${watching.id}/commands`, command);
+}
+
+/** What is worth a note of how a command was taken. */
+function takenAs(taken) {
+  const notes = [];
+  if (taken.dropped.length > 0 || taken.steps.length > 1) notes.push(`Understood as: ${taken.understood}.`);
+  if (taken.nearest !== null) notes.push(`It was trained on nothing like this; nearest: “${taken.nearest.text}”.`);
+  return notes.join(" ");
 }
 
 /** Send a joint (null or `traj`: the whole body) to a point of the world. */
@@ -81,7 +89,10 @@ export function setUpCommands() {
     place = history.length;
     box.value = "";
     showIdeas("");
-    await attempt(() => send({ text: words }));
+    await attempt(async () => {
+      const note = takenAs(await send({ text: words }));
+      if (note !== "") toast(note, "note");
+    });
   }
 
   function showIdeas(typed) {
