@@ -72,7 +72,7 @@ def rest_up(rest: Array, marks: Mapping[str, int]) -> str | None:
 
 
 def upright_share(positions: Array, marks: Mapping[str, int]) -> float:
-    """Share of the frames of a motion (T, J, 3) with Z up in which the body is held upright, leaning 37 degrees at most."""
+    """Share of the frames of a motion (T, J, 3) with Z up in which the body leans 37 degrees at most."""
     return float(np.mean(_body(positions, marks)[:, 2] > _UPRIGHT))
 
 
