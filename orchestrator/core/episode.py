@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Awaitable, Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Annotated, Literal
 
 import numpy as np
@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from orchestrator.core.drivers import Cycle, Driver, LockstepDriver, RealtimeDriver
 from orchestrator.core.events import EventLog
-from orchestrator.core.loop import CharacterLoop, plan_seed
+from orchestrator.core.loop import CharacterLoop, plan_seed, view_of
 from orchestrator.core.machine import (
     Action,
     MachineState,
@@ -29,6 +29,7 @@ from shared.protocol.base import Name
 from shared.protocol.messages import TICK_HZ, CreateCharacter, Pacing, Seed, StateFrame
 from shared.protocol.rest import TaskResult
 from shared.tasks.factory import make_task
+from shared.tasks.growing import GrowingTrace
 from shared.tasks.interface import BodyView, PlanGoal, Task, Trace, Verdict
 from shared.tasks.rules import SAFE_TICKS, leaning, with_falls
 from shared.tasks.specs import TaskSpec, TimeLimit
@@ -83,24 +84,20 @@ class _Running:
     index: int
     task: Task
     begin_tick: int
-    positions: list[np.ndarray] = field(default_factory=list)
-    fallen: list[np.ndarray] = field(default_factory=list)
+    seen: GrowingTrace
 
     def add(self, trace: Trace) -> None:
-        skip = max(0, self.begin_tick + 1 - trace.start_tick)
-        self.positions.append(trace.pos_w_m[skip:])
-        self.fallen.append(trace.fallen[skip:])
+        self.seen.add(trace)
 
     def trace(self) -> Trace:
         """Everything since the task began; a body on the floor has fallen, unless the task may want it there."""
-        trace = Trace(self.begin_tick + 1, np.concatenate(self.positions), np.concatenate(self.fallen))
+        trace = self.seen.trace()
         return with_falls(trace) if self.task.upright else trace
 
     @property
     def leaning(self) -> bool:
         """Whether it cannot be said yet that the body stayed up."""
-        seen = self.positions[-1] if len(self.positions[-1]) else np.concatenate(self.positions)
-        return self.task.upright and len(seen) > 0 and leaning(seen[-1])
+        return self.task.upright and len(self.seen) > 0 and leaning(self.seen.trace().pos_w_m[-1])
 
 
 def task_seed(seed: int, index: int) -> int:
@@ -277,10 +274,8 @@ class EpisodeRunner:
         index = self._order[self._next]
         self._next += 1
         task = make_task(self.spec.tasks[index], task_seed(self.spec.seed, index))
-        task.start(BodyView(state.tick, np.asarray(state.body_pos_w_m, dtype=np.float64), state.fallen))
-        self._running = _Running(
-            index, task, state.tick, [np.zeros((0, *state.body_pos_w_m.shape))], [np.zeros(0, bool)]
-        )
+        task.start(view_of(state))
+        self._running = _Running(index, task, state.tick, GrowingTrace(state.tick + 1))
         if self._driver is not None:
             self._driver.replan_now()
         self.events.emit("task_begin", state.tick, index=index, task=task.kind, label=task.label)

@@ -44,6 +44,7 @@ from shared.protocol.messages import (
 from shared.protocol.rates import first_start_by, frame_of_tick, start_spacing
 from shared.tasks.interface import BodyView, PlanGoal, Trace, joined
 from shared.tasks.obey import asks_low
+from shared.tasks.world import World
 
 GoalSource = Callable[[BodyView, int], PlanGoal]
 """What to ask for, given the body now and the tick the plan will start at."""
@@ -102,7 +103,24 @@ def timing_of(plan: Plan, index: int, reply: TrackReply, total_ms: float, text: 
 def view_of(state: StateFrame) -> BodyView:
     """The body in a state frame."""
     scale = build(state.character).world_scale
-    return BodyView(state.tick, np.asarray(state.body_pos_w_m, dtype=np.float64), state.fallen, scale)
+    poses = np.concatenate([state.object_pos_w_m, state.object_quat_w], axis=-1).astype(np.float64)
+    objects = dict(zip(state.objects, poses, strict=True))
+    return BodyView(state.tick, np.asarray(state.body_pos_w_m, dtype=np.float64), state.fallen, scale, objects)
+
+
+def trace_of(ticks: TickRange) -> Trace:
+    """A range of the log at 30 Hz as tasks see it."""
+    world = World(
+        tuple(ticks.objects),
+        np.asarray(ticks.object_pose_w, dtype=np.float64),
+        np.asarray(ticks.object_vel_w, dtype=np.float64),
+        np.asarray(ticks.contact_sample),
+        np.asarray(ticks.contact_body),
+        np.asarray(ticks.contact_object),
+        np.asarray(ticks.contact_impulse_ns, dtype=np.float64),
+    )
+    positions, fallen = np.asarray(ticks.body_pos_w_m, dtype=np.float64), np.asarray(ticks.fallen, dtype=bool)
+    return Trace(ticks.start_tick, positions, fallen, world)
 
 
 class CharacterLoop:
@@ -160,14 +178,11 @@ class CharacterLoop:
     async def look(self, since_tick: int) -> tuple[StateFrame, Trace]:
         """The present state and what happened at the ticks since_tick.., in one question to the tracker."""
         seen = await self.ask_tracker(Look, Observe(since_tick=since_tick))
-        state, first = seen.state(), seen.start_tick
-        skip = max(0, since_tick - first)  # one that is past nothing new is answered with the present tick
-        new = Trace(
-            first + skip,
-            np.asarray(seen.body_pos_w_m, dtype=np.float64)[skip:],
-            np.asarray(seen.fallen, dtype=bool)[skip:],
-        )
-        return state, new if first <= since_tick else joined((await self.trace(since_tick, first), new))
+        new = trace_of(seen)
+        if seen.start_tick > since_tick:
+            new = joined((await self.trace(since_tick, seen.start_tick), new))
+        # Where nothing is new the present tick is there all the same.
+        return seen.state(), new.since(since_tick)
 
     async def step(self, ticks: int) -> StateFrame:
         """Advance a lockstep character."""
@@ -175,14 +190,11 @@ class CharacterLoop:
 
     async def trace(self, start_tick: int, stop_tick: int) -> Trace:
         """The log at 30 Hz, ticks start..stop-1."""
-        positions, fallen = [], []
-        for begin in range(start_tick, stop_tick, MAX_TRACE_TICKS):
-            part = await self.ticks(begin, min(begin + MAX_TRACE_TICKS, stop_tick), TICK_HZ)
-            positions.append(np.asarray(part.body_pos_w_m, dtype=np.float64))
-            fallen.append(np.asarray(part.fallen, dtype=bool))
-        if not positions:
-            return Trace(start_tick, np.zeros((0, len(CANONICAL), 3)), np.zeros(0, dtype=bool))
-        return Trace(start_tick, np.concatenate(positions), np.concatenate(fallen))
+        parts = [
+            trace_of(await self.ticks(begin, min(begin + MAX_TRACE_TICKS, stop_tick), TICK_HZ))
+            for begin in range(start_tick, stop_tick, MAX_TRACE_TICKS)
+        ]
+        return joined(parts) if parts else Trace(start_tick, np.zeros((0, len(CANONICAL), 3)), np.zeros(0, dtype=bool))
 
     async def ticks(self, start_tick: int, stop_tick: int, rate_hz: int, reference: bool = False) -> TickRange:
         """A range of the tracker's log (at most 4096 samples)."""

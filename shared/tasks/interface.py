@@ -6,8 +6,8 @@ It never talks to a service, so the same task runs in episodes, in evaluation an
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import TICK_HZ, HeadingTarget, JointTarget
+from shared.tasks.world import World, worlds_joined
 
 Array = npt.NDArray[np.float64]
 Status = Literal["running", "done", "failed"]
@@ -31,13 +32,20 @@ def heading_from_positions(pos_w_m: npt.ArrayLike) -> Array:
 
 @dataclass(frozen=True)
 class BodyView:
-    """The character at a tick: (22, 3) joint positions in the world, whether it has fallen, and its size against the
-    canonical body's."""
+    """The character at a tick.
+
+    Attributes:
+        pos_w_m: (22, 3) joint positions in the world.
+        fallen: whether it has.
+        scale: its size against the canonical body's.
+        objects: (7,) position and quaternion of every object of the scene, by name.
+    """
 
     tick: int
     pos_w_m: Array
     fallen: bool = False
     scale: float = 1.0
+    objects: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def pelvis_xy_m(self) -> Array:
@@ -113,11 +121,13 @@ class Trace:
     Attributes:
         pos_w_m: (T, 22, 3) joint positions.
         fallen: (T,) bool.
+        world: the scene's objects at the same ticks and what the body touched; None where nobody looked.
     """
 
     start_tick: int
     pos_w_m: Array
     fallen: npt.NDArray[np.bool_]
+    world: World | None = None
 
     def __len__(self) -> int:
         return len(self.pos_w_m)
@@ -125,6 +135,12 @@ class Trace:
     def view(self, i: int) -> BodyView:
         """Row i as a BodyView."""
         return BodyView(self.start_tick + i, self.pos_w_m[i], bool(self.fallen[i]))
+
+    def since(self, tick: int) -> Trace:
+        """The rows from `tick` on; none where it ends before that."""
+        skip = max(0, tick - self.start_tick)
+        world = None if self.world is None else self.world.rows(skip)
+        return Trace(self.start_tick + skip, self.pos_w_m[skip:], self.fallen[skip:], world)
 
     @property
     def duration_s(self) -> float:
@@ -138,6 +154,7 @@ def joined(parts: Sequence[Trace]) -> Trace:
         parts[0].start_tick,
         np.concatenate([part.pos_w_m for part in parts]),
         np.concatenate([part.fallen for part in parts]),
+        worlds_joined([part.world for part in parts if len(part)]),
     )
 
 
