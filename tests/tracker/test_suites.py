@@ -14,7 +14,7 @@ from tracker_service.simulation.humanoid import humanoid
 from tracker_service.training import suites
 from tracker_service.training.dataset import MotionInput, prepare
 from tracker_service.training.env import EnvSettings, TrackingEnv
-from tracker_service.training.evaluate_clips import policy_of
+from tracker_service.training.policies import policy_of
 
 HUMAN = humanoid(character("human"))
 

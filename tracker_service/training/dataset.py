@@ -72,9 +72,10 @@ def seat_in(clip: ClipInfo) -> tuple[float, float, float, float]:
 
 
 def load_bank(folder: Path) -> list[MotionInput]:
-    """Pieces of a bank made by `motionloop data bank`, behaviour `plan`, all of one weight.
+    """Pieces of a bank, all of one weight: plans made by `motionloop data bank`, or clips that name their `behaviour`
+    (`training.falls`).
 
-    They are cut to a few seconds, overlapping, so that failing is noted, and practised, where it happens.
+    Plans are cut to a few seconds, overlapping, so that failing is noted, and practised, where it happens.
 
     Raises:
         InvalidInputError: no piece in the folder.
@@ -83,6 +84,10 @@ def load_bank(folder: Path) -> list[MotionInput]:
     for path in sorted(folder.glob("*.npz")):
         with np.load(path, allow_pickle=False) as data:
             whole = data["positions_w_m"]
+            behaviour = str(data["behaviour"]) if "behaviour" in data else PLAN
+        if behaviour != PLAN:
+            motions.append(MotionInput(path.stem, behaviour, 1.0, whole))
+            continue
         for begin in range(0, max(len(whole) - PIECE_TICKS // 2, 1), PIECE_TICKS - PIECE_OVERLAP_TICKS):
             cut = whole[begin : begin + PIECE_TICKS]
             motions.append(MotionInput(f"{path.stem}@{begin}", PLAN, 1.0, cut))

@@ -26,12 +26,12 @@ from shared.motion.io.files import motion_files
 from shared.motion.io.options import ReadOptions, read_joint_map
 from shared.motion.resampling import resample
 from shared.protocol.rates import TICK_HZ
-from tracker_service.policy.learned import WEIGHTS, LearnedTracker
+from tracker_service.policy.learned import WEIGHTS
 from tracker_service.simulation.character_spec import HUMAN
-from tracker_service.simulation.humanoid import Humanoid, humanoid
+from tracker_service.simulation.humanoid import humanoid
 from tracker_service.training.dataset import MotionInput, prepare, seat_in
-from tracker_service.training.env import EnvSettings
 from tracker_service.training.evaluate import evaluate
+from tracker_service.training.policies import policy_of
 from tracker_service.training.suites import SUITES, run_suite
 
 F32 = npt.NDArray[np.float32]
@@ -82,19 +82,6 @@ def motions_of_corpus(folder: Path, split: str) -> list[MotionInput]:
         for i, clip in enumerate(corpus.clips)
         if clip.split == split and clip.frames >= LEAST_TICKS and not clip.mirrored
     ]
-
-
-def policy_of(human: Humanoid, weights: Path | None) -> tuple[EnvSettings, Callable[[F32], F32]]:
-    """The environment's settings and the policy of a file, or of the `pd` baseline where `weights` is None."""
-    hinges = len(human.hinges)
-
-    def rest(observation: F32) -> F32:
-        return np.zeros((len(observation), hinges), np.float32)
-
-    if weights is None:
-        return EnvSettings(), rest
-    tracker = LearnedTracker(human.damping / human.stiffness, weights)
-    return EnvSettings(heights=tracker.card.observation == "heights"), tracker.network
 
 
 def evaluate_weights(motions: list[MotionInput], weights: Path | None = WEIGHTS) -> dict[str, Any]:

@@ -58,10 +58,10 @@ def references(
 
 
 def training_sets(
-    human: Humanoid, corpus: Path, cache: Path, focus: dict[str, float], bank: Path | None, bank_share: float,
+    human: Humanoid, corpus: Path, cache: Path, focus: dict[str, float], banks: dict[Path, float],
     say: Callable[[str], None],
 ) -> tuple[ReferenceSet, ReferenceSet]:  # fmt: skip
-    """What is trained on and what is held out, prepared; arguments as for `train`."""
+    """What is trained on and what is held out, prepared; arguments as for `train`, banks with their shares."""
     train_set = references(corpus, "train", cache, say, human)
     heldout_set = references(corpus, "heldout", cache, say, human)
     jumping = largest_change_rad(train_set) > LARGEST_CHANGE_RAD
@@ -69,10 +69,13 @@ def training_sets(
     train_set = replace(train_set, weight=train_set.weight * ~jumping)
     factors = np.array([focus.get(str(name), 1.0) for name in train_set.behaviours])
     train_set = replace(train_set, weight=train_set.weight * factors)
-    if bank is not None:
+    later = sum(banks.values())
+    for bank, share in banks.items():
+        later -= share
         pieces = load_bank(bank)
         kept, heldout = ([p for i, p in enumerate(pieces) if (i % HELDOUT_PIECE == 0) is out] for out in (False, True))
-        train_set = concatenated(train_set, prepare_cached(human, kept, cache), bank_share)
+        # What comes later takes its part of this one too: in the end each has its share, the corpus what they leave.
+        train_set = concatenated(train_set, prepare_cached(human, kept, cache), share / (1.0 - later))
         heldout_set = concatenated(heldout_set, prepare_cached(human, heldout, cache), 0.5)
     say(f"{len(train_set)} clips, {len(train_set.qpos) / 1800:.1f} min to train on; {len(heldout_set)} held out")
     return train_set, heldout_set
@@ -96,7 +99,8 @@ def train(
     """
     torch.set_num_threads(threads)
     human = humanoid(HUMAN)
-    train_set, heldout_set = training_sets(human, corpus, out / "cache", focus or {}, bank, bank_share, say)
+    banks = {} if bank is None else {bank: bank_share}
+    train_set, heldout_set = training_sets(human, corpus, out / "cache", focus or {}, banks, say)
     stop = False
 
     def ask_to_stop(signum: int, frame: object) -> None:

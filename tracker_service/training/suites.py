@@ -107,7 +107,7 @@ def pushes(human: Humanoid, settings: EnvSettings, policy: Policy, corpus: Corpu
     after = round(AFTER_PUSH_S * TICK_HZ)
     kinds = {"standing": [MotionInput("stand", "stand", 1.0, standing_clip(300, TICK_HZ).positions_w_m)]}
     if corpus is not None:
-        kinds["walking"] = _walks(corpus, PUSH_TICK + after + 10)
+        kinds["walking"] = long_walks(corpus, PUSH_TICK + after + 10)
     out: dict[str, Any] = {}
     for kind, motions in kinds.items():
         references = prepare(human, motions)
@@ -134,7 +134,7 @@ def pushes(human: Humanoid, settings: EnvSettings, policy: Policy, corpus: Corpu
     return out
 
 
-def _walks(corpus: Corpus, ticks: int) -> list[MotionInput]:
+def long_walks(corpus: Corpus, ticks: int) -> list[MotionInput]:
     """The first few held-out recordings of straight walking that are long enough."""
     found = [
         MotionInput(clip.name, clip.behaviour, 1.0, corpus.positions(i))

@@ -13,6 +13,7 @@ import torch
 import typer
 
 from shared.console import errors_for_people
+from shared.errors import InvalidInputError
 from tracker_service.simulation.character_spec import character as character_named
 from tracker_service.simulation.humanoid import humanoid
 from tracker_service.training.env import EnvSettings
@@ -26,7 +27,7 @@ app = typer.Typer(add_completion=False)
 
 def train(
     corpus: Path, out: Path, until_samples: int, threads: int, envs: int, seed: int, init: Path | None,
-    focus: dict[str, float], bank: Path | None, bank_share: float, settings: WorldSettings,
+    focus: dict[str, float], banks: dict[Path, float], settings: WorldSettings,
     device: str = "cpu", character: str = "human", until_minutes: float = float("inf"),
     say: Callable[[str], None] = print,
 ) -> WorldTrainer:  # fmt: skip
@@ -34,12 +35,13 @@ def train(
 
     Args:
         corpus: folder made by `motionloop data build`. threads: of physics and torch, at different times.
-        focus: factors on the sampling weight of behaviours. bank: recorded plans, with `bank_share` of the sampling.
+        focus: factors on the sampling weight of behaviours. banks: folders of recorded plans or ways up, with their
+            shares of the sampling.
         init: shipped actor to start from where `out` has no checkpoint; critic and model beside it are taken too.
     """
     torch.set_num_threads(threads)
     human = humanoid(character_named(character))
-    train_set, heldout_set = training_sets(human, corpus, out / "cache", focus, bank, bank_share, say)
+    train_set, heldout_set = training_sets(human, corpus, out / "cache", focus, banks, say)
     stop = False
 
     def ask_to_stop(signum: int, frame: object) -> None:
@@ -71,6 +73,24 @@ def factors(text: str) -> dict[str, float]:
     return {name: float(value) for name, value in (part.split("=") for part in text.split(",") if part)}
 
 
+def shares(banks: list[str]) -> dict[Path, float]:
+    """Folders and their shares of the sampling from `FOLDER=SHARE`; a quarter where none is said.
+
+    Raises:
+        InvalidInputError: a share is no number between 0 and 1, or they leave nothing for the corpus.
+    """
+    out: dict[Path, float] = {}
+    for bank in banks:
+        folder, _, share = bank.partition("=")
+        try:
+            out[Path(folder)] = float(share or 0.25)
+        except ValueError:
+            raise InvalidInputError(f"bank {bank!r}", field="bank", allowed="FOLDER=SHARE") from None
+    if any(s <= 0 for s in out.values()) or sum(out.values()) >= 1:
+        raise InvalidInputError("shares of the banks", field="bank", allowed="above 0, together below 1")
+    return out
+
+
 @app.command()
 def main(
     corpus: Annotated[Path, typer.Option(help="folder made by `motionloop data build`")],
@@ -82,8 +102,7 @@ def main(
     seed: int = 0,
     init: Annotated[Path | None, typer.Option(help="shipped actor to start from")] = None,
     focus: Annotated[str, typer.Option(help="sampling factors, e.g. walk=2,dance=0.5")] = "",
-    bank: Annotated[Path | None, typer.Option(help="folder of plans made by `motionloop data bank`")] = None,
-    bank_share: Annotated[float, typer.Option(min=0.01, max=0.99, help="of the sampling")] = 0.3,
+    bank: Annotated[list[str], typer.Option(help="FOLDER=SHARE: of `motionloop data bank` or ways up")] = [],  # noqa: B006
     settings: Annotated[str, typer.Option(help="numbers of WorldSettings as JSON")] = "{}",
     device: Annotated[str, typer.Option(help="cpu or cuda")] = "cpu",
     character: str = "human",
@@ -92,7 +111,7 @@ def main(
 ) -> None:
     """Train the tracker through a world model; stops cleanly on SIGTERM and resumes where it stopped."""
     trainer = train(
-        corpus, out, until_samples, threads, envs, seed, init, factors(focus), bank, bank_share,
+        corpus, out, until_samples, threads, envs, seed, init, factors(focus), shares(bank),
         WorldSettings.model_validate_json(settings), device, character, until_minutes,
         lambda line: typer.echo(line),
     )  # fmt: skip
