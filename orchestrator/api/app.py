@@ -10,11 +10,12 @@ from typing import Any
 
 from fastapi import Depends, FastAPI
 
-from orchestrator.api import catalogue, characters, episodes, motion, page, problems, replay, services, stream
+from orchestrator.api import catalogue, characters, episodes, motion, objects, page, problems, replay, services, stream
 from orchestrator.api.deps import check_token
 from orchestrator.api.health import HealthWatch
 from orchestrator.api.settings import OrchestratorSettings
 from orchestrator.core.manager import Orchestrator
+from orchestrator.core.scenes import Scenes
 from orchestrator.core.services import Services, Slot, connect
 from orchestrator.store.database import Store
 from shared.errors import UnavailableError
@@ -49,7 +50,7 @@ async def open_orchestrator(settings: OrchestratorSettings) -> Orchestrator:
         await planner.client.close()
         raise
     store = await asyncio.to_thread(Store, settings.data_dir)
-    core = Orchestrator(Services(planner, tracker), store, settings.max_running, curve)
+    core = Orchestrator(Services(planner, tracker, Scenes(settings.scenes)), store, settings.max_running, curve)
     await asyncio.to_thread(core.recover)
     return core
 
@@ -79,6 +80,7 @@ def create_app(settings: OrchestratorSettings, opened: Orchestrator | None = Non
     guarded: list[Any] = [Depends(check_token)]
     app.include_router(characters.router, dependencies=guarded)
     app.include_router(episodes.router, dependencies=guarded)
+    app.include_router(objects.router, dependencies=guarded)
     app.include_router(motion.router, dependencies=guarded)
     app.include_router(replay.router, dependencies=guarded)
     app.include_router(services.router, dependencies=guarded)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any, get_args
 
 from fastapi import APIRouter
 from pydantic import BaseModel
 
+from orchestrator.api.deps import Core
 from orchestrator.api.problems import RESPONSES
 from orchestrator.core.command import JOINTS
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import TICK_HZ
-from shared.scenes.files import load_scene, scene_names
 from shared.scenes.schema import Scene
 from shared.tasks.specs import TaskSpec
 
@@ -33,9 +34,10 @@ class TaskList(BaseModel):
 
 
 class SceneList(BaseModel):
-    """All scenes."""
+    """All scenes as their files have them; `wrong` says which files of the server's own folder cannot be read."""
 
     items: list[Scene]
+    wrong: dict[str, str] = {}
 
 
 class SkeletonBody(BaseModel):
@@ -68,9 +70,10 @@ async def tasks() -> TaskList:
 
 
 @router.get("/scenes")
-async def scenes() -> SceneList:
+async def scenes(core: Core) -> SceneList:
     """The scenes there are, with their objects and marks."""
-    return SceneList(items=[load_scene(name) for name in scene_names()])
+    items, wrong = await asyncio.to_thread(core.services.scenes.all)
+    return SceneList(items=items, wrong=wrong)
 
 
 @router.get("/skeleton")

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from orchestrator.core.character import CharacterSession
 from orchestrator.core.command import Command
 from orchestrator.core.episode import EpisodeOutcome, EpisodeSpec
+from orchestrator.core.scenes import name_of
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.base import Name
 from shared.protocol.messages import StateFrame
@@ -57,7 +58,7 @@ class CharacterBody(CharacterFields):
         """From a session."""
         spec = session.spec
         return cls(
-            id=session.character_id, status=session.status, reason=session.reason, scene=spec.scene,
+            id=session.character_id, status=session.status, reason=session.reason, scene=name_of(spec.scene),
             pacing=spec.pacing, planner=session.loop.planner, tracker=session.state.tracker, seed=spec.seed,
             command=session.command, plans=session.loop.plans_made, state=StateBody.of(session.state),
         )  # fmt: skip

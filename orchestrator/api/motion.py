@@ -5,18 +5,15 @@ from __future__ import annotations
 import asyncio
 from typing import Annotated
 
-import numpy as np
 from fastapi import APIRouter, Query, Response
 
 from orchestrator.api.deps import CharacterId, Core, EpisodeId
 from orchestrator.api.problems import RESPONSES
 from orchestrator.core.character import CharacterSession
 from orchestrator.export.formats import MEDIA_TYPES, Format, Unit, exported
-from orchestrator.store.recordings import FIELDS, Recording, joined
-from shared.errors import ConflictError, NotFoundError
+from orchestrator.store.recordings import Recording, joined
+from shared.errors import ConflictError
 from shared.protocol.messages import TICK_HZ
-from shared.scenes.files import load_scene
-from shared.scenes.schema import Scene
 
 router = APIRouter(prefix="/v1", tags=["motion"], responses=RESPONSES)
 
@@ -36,7 +33,7 @@ async def episode_motion(core: Core, episode_id: EpisodeId, suffix: Format, unit
     if row["status"] == "running":
         raise ConflictError("the episode is still running", field="id")
     recording = await asyncio.to_thread(core.files.load, key)
-    return await _answer(recording, suffix, unit, str(row["spec"].get("scene", "flat")), key)
+    return await _answer(recording, suffix, unit, key)
 
 
 @router.get("/characters/{character_id}/motion.{suffix}", response_class=Response)
@@ -51,7 +48,7 @@ async def character_motion(
     """What a character did of late, or before a tick, at 30 Hz."""
     session = core.character(str(character_id))
     recording = await recording_of(session, seconds, until_tick)
-    return await _answer(recording, suffix, unit, session.spec.scene, str(character_id))
+    return await _answer(recording, suffix, unit, str(character_id))
 
 
 async def recording_of(session: CharacterSession, seconds: float, until_tick: int | None = None) -> Recording:
@@ -62,20 +59,11 @@ async def recording_of(session: CharacterSession, seconds: float, until_tick: in
     parts = []
     for begin in range(start, stop, PART_TICKS):
         part = await session.loop.ticks(begin, min(begin + PART_TICKS, stop), TICK_HZ, reference=True)
-        arrays = {name: np.asarray(getattr(part, name)) for name in FIELDS}
-        parts.append(Recording(part.start_tick, arrays, tuple(part.objects)))
+        parts.append(Recording.of(part, session.spec.character, session.scene))
     return joined(parts)
 
 
-async def _answer(recording: Recording, suffix: Format, unit: Unit, scene: str, name: str) -> Response:
-    data = await asyncio.to_thread(exported, recording, suffix, unit, _scene(scene))
+async def _answer(recording: Recording, suffix: Format, unit: Unit, name: str) -> Response:
+    data = await asyncio.to_thread(exported, recording, suffix, unit)
     headers = {"Content-Disposition": f'attachment; filename="{name}.{suffix}"'}
     return Response(data, media_type=MEDIA_TYPES[suffix], headers=headers)
-
-
-def _scene(name: str) -> Scene | None:
-    """The scene for the looks of its objects; one that is gone by now costs only those."""
-    try:
-        return load_scene(name)
-    except NotFoundError:
-        return None

@@ -22,6 +22,7 @@ class OrchestratorSettings(Settings):
         planner, tracker: ZeroMQ endpoints of the services.
         planner_plugin, tracker_plugin: which plug-ins to use; None for the services' defaults.
         data_dir: database and recordings.
+        scenes: folder of scenes of one's own (YAML), before those of the package.
         curve_dir: folder of CURVE keys, for services on other machines.
         connect_timeout_s: how long to wait for the services at the start.
         max_running: characters and episodes at once.
@@ -37,6 +38,7 @@ class OrchestratorSettings(Settings):
     planner_plugin: str | None = None
     tracker_plugin: str | None = None
     data_dir: Path = Path("out/data")
+    scenes: Path | None = None
     curve_dir: Path | None = Field(default_factory=curve_dir_from_environment)
     connect_timeout_s: Annotated[float, Field(gt=0, le=600)] = 60.0
     max_running: Annotated[int, Field(ge=1, le=1000)] = 64

@@ -58,6 +58,7 @@ def serve(
     planner: Annotated[str | None, typer.Option(help="all: planner plug-in")] = None,
     tracker: Annotated[str | None, typer.Option(help="all: tracker plug-in")] = None,
     data_dir: Annotated[Path, typer.Option(help="all: database and recordings")] = Path("out/data"),
+    scenes: Annotated[Path | None, typer.Option(help="orchestrator, all: folder of your own scenes (YAML)")] = None,
 ) -> None:
     """Run the services. Options of a single service go through to it (see `python -m planner_service --help`)."""
     need(*NEEDED[what])
@@ -67,12 +68,12 @@ def serve(
     with for_people():
         if what == "orchestrator":
             given = ["--host", host, "--port", str(port), "--data-dir", str(data_dir)]
-            for flag, value in (("--planner", planner), ("--tracker", tracker)):
-                given += [] if value is None else [flag, value]
+            for flag, value in (("--planner", planner), ("--tracker", tracker), ("--scenes", scenes)):
+                given += [] if value is None else [flag, str(value)]
             raise typer.Exit(serve_one(what, [*given, *context.args]))
         if what != "all":
             raise typer.Exit(serve_one(what, context.args))
-        options = StackOptions(host, port, planner, tracker, str(data_dir))
+        options = StackOptions(host, port, planner, tracker, str(data_dir), None if scenes is None else str(scenes))
         raise typer.Exit(serve_all(options, console))
 
 

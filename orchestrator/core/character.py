@@ -16,6 +16,7 @@ from orchestrator.core.events import EventLog
 from orchestrator.core.fanout import Fanout
 from orchestrator.core.loop import CharacterLoop, view_of
 from orchestrator.core.reading import NearestSentences, read_command
+from orchestrator.core.scenes import SceneChoice, name_of
 from orchestrator.core.services import Services
 from orchestrator.core.settings import LOCKSTEP, REALTIME, LoopSettings
 from orchestrator.core.steps import SteppedGoal
@@ -23,8 +24,19 @@ from shared.errors import ConflictError, InvalidInputError, MotionLoopError, Not
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.base import Name
 from shared.protocol.control import Ok
-from shared.protocol.messages import CloseCharacter, CreateCharacter, Impulse, Pacing, Seed, SetPacing, StateFrame, Vec3
+from shared.protocol.messages import (
+    CloseCharacter,
+    CreateCharacter,
+    Impulse,
+    Pacing,
+    Seed,
+    SetObject,
+    SetPacing,
+    StateFrame,
+    Vec3,
+)
 from shared.protocol.rest import CommandReading
+from shared.scenes.schema import Scene
 from shared.tasks.interface import BodyView, PlanGoal
 
 log = logging.getLogger(__name__)
@@ -40,7 +52,7 @@ class CharacterSpec(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     character: Name = "human"
-    scene: Name = "flat"
+    scene: SceneChoice = "flat"
     planner: Name | None = None
     tracker: Name | None = None
     pacing: Pacing = "realtime"
@@ -58,6 +70,7 @@ class CharacterSession:
         self.events = events
         self.states: Fanout[StateFrame] = Fanout()
         self.loop = CharacterLoop(character_id, services, settings, spec.seed, spec.planner)
+        self.scene: Scene | None = None
         self.status: Status = "running"
         self.reason: str | None = None
         self._services = services
@@ -83,9 +96,11 @@ class CharacterSession:
 
     async def start(self) -> StateFrame:
         """Make it at the tracker and, in realtime, let it run."""
+        scenes, choice = self._services.scenes, self.spec.scene
+        self.scene = scenes.chosen(choice, self.spec.seed)
         request = CreateCharacter(
             character=self.spec.character,
-            scene=self.spec.scene,
+            scene=scenes.for_tracker(choice, self.spec.seed),
             tracker=self.spec.tracker or self._services.tracker.plugin,
             pacing=self.spec.pacing,
             seed=self.spec.seed,
@@ -96,7 +111,7 @@ class CharacterSession:
         else:
             self._driver = RealtimeDriver(self.loop, self._state)
             self._run_on(self._driver)
-        self.events.emit("created", self._state.tick, scene=self.spec.scene, pacing=self.spec.pacing)
+        self.events.emit("created", self._state.tick, scene=name_of(choice), pacing=self.spec.pacing)
         return self._state
 
     def _goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
@@ -164,6 +179,14 @@ class CharacterSession:
             raise InvalidInputError(f"unknown body {body!r}", field="body", allowed=", ".join(CANONICAL.names))
         await self.loop.ask_tracker(Ok, Impulse(body=body, impulse_w_ns=impulse_w_ns))
         self.events.emit("impulse", self.state.tick, body=body, impulse_ns=list(impulse_w_ns))
+
+    async def set_object(self, message: SetObject) -> StateFrame:
+        """Put an object of the scene somewhere, at once; raises InvalidInputError for one that cannot move so."""
+        self._check_alive()
+        async with self._lock:
+            self._state = await self.loop.ask_tracker(StateFrame, message)
+        self.events.emit("object", self._state.tick, **message.model_dump(mode="json", exclude_none=True))
+        return self._state
 
     async def reset(self) -> StateFrame:
         """Stand it up where it is; the command becomes standing. One that has failed runs again."""

@@ -22,12 +22,14 @@ from orchestrator.core.machine import (
     transition,
     with_limit,
 )
+from orchestrator.core.scenes import SceneChoice
 from orchestrator.core.services import Services
 from orchestrator.core.settings import LOCKSTEP, REALTIME, LoopSettings
 from shared.errors import ConflictError, MotionLoopError, NotFoundError, TransportError
 from shared.protocol.base import Name
 from shared.protocol.messages import TICK_HZ, CreateCharacter, Pacing, Seed, StateFrame
 from shared.protocol.rest import TaskResult
+from shared.scenes.schema import Scene
 from shared.tasks.factory import make_task
 from shared.tasks.growing import GrowingTrace
 from shared.tasks.interface import BodyView, PlanGoal, Task, Trace, Verdict
@@ -52,7 +54,7 @@ class EpisodeSpec(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
     name: Annotated[str, Field(max_length=80)] | None = None
     character: Name = "human"
-    scene: Name = "flat"
+    scene: SceneChoice = "flat"
     tasks: Annotated[list[TaskSpec], Field(min_length=1, max_length=200)]
     order: Literal["sequence", "random"] = "sequence"
     seed: Seed = 0
@@ -130,6 +132,7 @@ class EpisodeRunner:
         self.results: list[TaskResult] = []
         self.tick = 0
         self.created = False
+        self.scene: Scene | None = None
         settings = spec.loop or (LOCKSTEP if spec.pacing == "lockstep" else REALTIME)
         self.loop = CharacterLoop(episode_id, services, settings, spec.seed, spec.planner)
         self._services = services
@@ -175,10 +178,11 @@ class EpisodeRunner:
         return self._outcome()
 
     async def _create(self) -> StateFrame:
-        spec = self.spec
+        spec, scenes = self.spec, self._services.scenes
+        self.scene = scenes.chosen(spec.scene, spec.seed)
         request = CreateCharacter(
             character=spec.character,
-            scene=spec.scene,
+            scene=scenes.for_tracker(spec.scene, spec.seed),
             tracker=spec.tracker or self._services.tracker.plugin,
             pacing=spec.pacing,
             seed=spec.seed,

@@ -19,13 +19,14 @@ from orchestrator.core.fanout import Fanout
 from orchestrator.core.services import Services, Slot
 from orchestrator.core.swap import check_spec, swap
 from orchestrator.store.database import Store
-from orchestrator.store.recordings import RecordingFiles, write_atomically
+from orchestrator.store.recordings import Recording, RecordingFiles, write_atomically
 from shared.errors import ConflictError, InvalidInputError, MotionLoopError, NotFoundError, OverloadedError
 from shared.protocol.control import Ok
 from shared.protocol.messages import CloseCharacter, Render, StateFrame, Video
 from shared.protocol.rest import Event
 from shared.protocol.security import CurveKeys
 from shared.protocol.transport import Kind
+from shared.scenes.schema import Scene
 
 log = logging.getLogger(__name__)
 
@@ -128,6 +129,7 @@ class Orchestrator:
         """Start an episode in the background; returns its id."""
         self._check_room()
         self._check_plugins(spec.planner, spec.tracker)
+        self.services.scenes.for_tracker(spec.scene, spec.seed)  # a wrong scene is refused now, not in the background
         episode_id = str(uuid.uuid4())
         events = EventLog(self._sink(episode_id))
         live: LiveEpisode
@@ -181,6 +183,14 @@ class Orchestrator:
             data = np.asarray(video.mp4, dtype=np.uint8).tobytes()
             await asyncio.to_thread(write_atomically, path, data)
             return data
+
+    async def episode_scene(self, episode_id: str) -> Scene | None:
+        """The scene of an episode as its seed made it; None where only the tracker knows it. Raises NotFoundError."""
+        if episode_id in self.episodes:
+            return self.episodes[episode_id].runner.scene
+        row = await asyncio.to_thread(self.store.episode, episode_id)
+        spec = EpisodeSpec.model_validate(row["spec"])
+        return self.services.scenes.chosen(spec.scene, spec.seed)
 
     # --- services ---
 
@@ -269,7 +279,8 @@ class Orchestrator:
             stop = min(live.recorded_to + PART_TICKS, stop_tick)
             try:
                 part = await runner.loop.ticks(live.recorded_to, stop, 30, reference=True)
-                await asyncio.to_thread(self.files.add_part, runner.episode_id, part)
+                recording = Recording.of(part, runner.spec.character, runner.scene)
+                await asyncio.to_thread(self.files.add_part, runner.episode_id, recording)
             except (MotionLoopError, OSError) as error:
                 runner.events.emit("recording_failed", runner.tick, reason=str(error))
                 return

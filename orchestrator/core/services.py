@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
+from orchestrator.core.scenes import Scenes
 from shared.errors import MotionLoopError, UnavailableError
 from shared.plugins.registry import current_name
 from shared.protocol.base import Message
@@ -73,10 +74,11 @@ class Slot:
 
 @dataclass
 class Services:
-    """Planner and tracker. Loops look a slot up at every request, so that a swap shows at the next plan."""
+    """Planner, tracker and scenes. Loops look a slot up at every request, so that a swap shows at the next plan."""
 
     planner: Slot
     tracker: Slot
+    scenes: Scenes = field(default_factory=Scenes)
 
     async def close(self) -> None:
         """Close both clients."""

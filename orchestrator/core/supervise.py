@@ -161,6 +161,7 @@ class StackOptions:
     Attributes:
         host, port: of the HTTP server; port 0 takes a free one.
         planner_plugin, tracker_plugin: plug-ins to use; None for the services' defaults.
+        scenes: folder of scenes of one's own.
         planner_args, tracker_args, orchestrator_args: more arguments.
     """
 
@@ -169,6 +170,7 @@ class StackOptions:
     planner_plugin: str | None = None
     tracker_plugin: str | None = None
     data_dir: str | None = None
+    scenes: str | None = None
     planner_args: tuple[str, ...] = ()
     tracker_args: tuple[str, ...] = ()
     orchestrator_args: tuple[str, ...] = ()
@@ -274,6 +276,7 @@ class Stack:
             ("--planner-plugin", options.planner_plugin),
             ("--tracker-plugin", options.tracker_plugin),
             ("--data-dir", options.data_dir),
+            ("--scenes", options.scenes),
         ):
             command += [] if value is None else [flag, value]
         return ServiceProcess("orchestrator", command, _ONE_THREAD)

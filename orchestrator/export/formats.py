@@ -16,7 +16,6 @@ from shared.motion.clip import MotionClip
 from shared.motion.io.bvh import write_bvh
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import TICK_HZ
-from shared.scenes.schema import Scene
 
 Format = Literal["npz", "bvh", "csv", "glb"]
 Unit = Literal["m", "cm"]
@@ -28,19 +27,19 @@ MEDIA_TYPES: dict[Format, str] = {
 }
 
 
-def exported(recording: Recording, kind: Format, unit: Unit = "m", scene: Scene | None = None) -> bytes:
-    """The recording as a file; `unit` counts for BVH only, `scene` (the looks of objects) for glb only."""
+def exported(recording: Recording, kind: Format, unit: Unit = "m") -> bytes:
+    """The recording as a file; `unit` counts for BVH only."""
     if kind == "npz":
         return to_npz(recording)
     if kind == "bvh":
         return to_bvh(recording, unit)
-    return to_csv(recording) if kind == "csv" else to_glb(recording, scene)
+    return to_csv(recording) if kind == "csv" else to_glb(recording)
 
 
 def clip_of(recording: Recording) -> MotionClip:
     """The simulated bodies as a clip at 30 fps: their orientations, not IK."""
     arrays = recording.arrays
-    return MotionClip.from_bodies(arrays["body_pos_w_m"], arrays["body_quat_w"], TICK_HZ)
+    return MotionClip.from_bodies(arrays["body_pos_w_m"], arrays["body_quat_w"], TICK_HZ, recording.skeleton.id)
 
 
 def to_bvh(recording: Recording, unit: Unit = "m") -> bytes:

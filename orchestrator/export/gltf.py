@@ -17,9 +17,9 @@ from orchestrator.store.recordings import Recording
 from shared.motion.figure import COLOURS, parts_of
 from shared.motion.mesh import Mesh, box, capsule, cylinder, ellipsoid, joined
 from shared.motion.rotations import matrix_from_quat, normalize, quat_conj, quat_mul
-from shared.motion.skeleton import CANONICAL, Skeleton
+from shared.motion.skeleton import Skeleton
 from shared.protocol.messages import TICK_HZ
-from shared.scenes.schema import Part, Scene, SceneBody
+from shared.scenes.schema import Part, SceneBody
 
 Array = npt.NDArray[np.float64]
 AXES = [1, 2, 0]
@@ -30,14 +30,13 @@ _VERTICES, _INDICES = 34962, 34963
 _WIDTH = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 
 
-def to_glb(recording: Recording, scene: Scene | None = None) -> bytes:
+def to_glb(recording: Recording) -> bytes:
     """The file's bytes.
 
     Args:
-        recording: of a character with the canonical skeleton; its first tick is second 0 of the animation.
-        scene: what the objects look like; objects that are not in it are left out.
+        recording: its first tick is second 0 of the animation; objects that are not in its scene are left out.
     """
-    skeleton = CANONICAL
+    skeleton, scene = recording.skeleton, recording.scene
     file = _File()
     for name, rgba in (*COLOURS.items(), (OBJECT, OBJECT_RGBA)):
         file.material(name, rgba)

@@ -13,8 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.errors import NotFoundError
-from shared.motion.skeleton import CANONICAL
+from shared.motion.characters import build
+from shared.motion.skeleton import CANONICAL, Skeleton
 from shared.protocol.messages import TICK_HZ, TickRange
+from shared.scenes.schema import Scene
 
 FIELDS = (
     "body_pos_w_m",
@@ -25,19 +27,46 @@ FIELDS = (
     "tracking_error_m",
     "fallen",
     "reference_pos_w_m",
+    "body_angvel_w_radps",
+    "hinge_pos_rad",
+    "hinge_vel_radps",
+    "servo_target_rad",
+    "object_vel_w",
 )
+CONTACTS = ("contact_body", "contact_object", "contact_impulse_ns")
+"""A row a contact, with the row of the tick it belongs to in `contact_sample` (shared.protocol.states)."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Control ticks start_tick.. at 30 Hz; arrays as in `TickRange`."""
+    """Control ticks start_tick.. at 30 Hz; arrays as in `TickRange`.
+
+    Attributes:
+        objects: names of the scene's objects. character: whose motion it is (shared.motion.characters).
+        scene: what the objects look like; None where nobody knows.
+    """
 
     start_tick: int
     arrays: dict[str, npt.NDArray[np.generic]]
     objects: tuple[str, ...] = ()
+    character: str = "human"
+    scene: Scene | None = None
 
     def __len__(self) -> int:
         return len(self.arrays["body_pos_w_m"])
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The character's skeleton."""
+        return build(self.character).skeleton
+
+    @classmethod
+    def of(cls, part: TickRange, character: str = "human", scene: Scene | None = None) -> Recording:
+        """From a range of the log."""
+        arrays: dict[str, npt.NDArray[np.generic]] = {
+            name: np.asarray(getattr(part, name)) for name in (*FIELDS, "contact_sample", *CONTACTS)
+        }
+        return cls(part.start_tick, arrays, tuple(part.objects), character, scene)
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -51,12 +80,15 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def to_npz(recording: Recording) -> bytes:
-    """The file's bytes: the arrays, and `fps`, `start_tick`, `skeleton`, `joints` and `objects`."""
-    arrays: dict[str, Any] = {name: np.asarray(recording.arrays[name]) for name in FIELDS}
+    """The file's bytes: the arrays, and `fps`, `start_tick`, `character`, `skeleton`, `joints`, `objects`, `scene`."""
+    names = (*FIELDS, "contact_sample", *CONTACTS)
+    arrays: dict[str, Any] = {name: np.asarray(recording.arrays[name]) for name in names}
     arrays["fps"] = np.float64(TICK_HZ)
     arrays["start_tick"] = np.int64(recording.start_tick)
-    arrays["skeleton"] = np.array(CANONICAL.id)
-    arrays["joints"] = np.array(CANONICAL.names)
+    arrays["character"] = np.array(recording.character)
+    arrays["skeleton"] = np.array(recording.skeleton.id)
+    arrays["joints"] = np.array(recording.skeleton.names)
+    arrays["scene"] = np.array("" if recording.scene is None else recording.scene.model_dump_json())
     arrays["objects"] = np.array(recording.objects, dtype="<U64")
     out = io.BytesIO()
     np.savez_compressed(out, **arrays)
@@ -64,18 +96,36 @@ def to_npz(recording: Recording) -> bytes:
 
 
 def from_npz(path: Path) -> Recording:
-    """Read a recording; never unpickles."""
+    """Read a recording; never unpickles. One of version 1 has no rates, hinges and contacts: those are empty then."""
     with np.load(path, allow_pickle=False) as data:
-        arrays: dict[str, npt.NDArray[np.generic]] = {name: data[name] for name in FIELDS}
-        return Recording(int(data["start_tick"]), arrays, tuple(str(name) for name in data["objects"]))
+        count, objects = len(data["body_pos_w_m"]), tuple(str(name) for name in data["objects"])
+        arrays = {name: data[name] for name in (*FIELDS, "contact_sample", *CONTACTS) if name in data}
+        bodies, wide = len(CANONICAL), len(objects)
+        for name, shape in (
+            ("body_angvel_w_radps", (bodies, 3)), ("object_vel_w", (wide, 6)),
+            ("hinge_pos_rad", (0,)), ("hinge_vel_radps", (0,)), ("servo_target_rad", (0,)),
+        ):  # fmt: skip
+            arrays.setdefault(name, np.zeros((count, *shape), "<f4"))
+        for name in ("contact_sample", "contact_body", "contact_object"):
+            arrays.setdefault(name, np.zeros(0, "<i8"))
+        arrays.setdefault("contact_impulse_ns", np.zeros(0, "<f4"))
+        character = str(data["character"]) if "character" in data else "human"
+        text = str(data["scene"]) if "scene" in data else ""
+        scene = Scene.model_validate_json(text) if text else None
+        return Recording(int(data["start_tick"]), arrays, objects, character, scene)
 
 
 def joined(parts: list[Recording]) -> Recording:
     """Parts that follow one another as one recording."""
     arrays: dict[str, npt.NDArray[np.generic]] = {
-        name: np.concatenate([part.arrays[name] for part in parts]) for name in FIELDS
+        name: np.concatenate([part.arrays[name] for part in parts]) for name in (*FIELDS, *CONTACTS)
     }
-    return Recording(parts[0].start_tick, arrays, parts[0].objects)
+    starts = np.cumsum([0, *(len(part) for part in parts)])
+    arrays["contact_sample"] = np.concatenate(
+        [part.arrays["contact_sample"] + start for part, start in zip(parts, starts[:-1], strict=True)]
+    )
+    first = parts[0]
+    return Recording(first.start_tick, arrays, first.objects, first.character, first.scene)
 
 
 class RecordingFiles:
@@ -88,13 +138,11 @@ class RecordingFiles:
         """The file of an episode, whether it is there or not."""
         return self._folder / f"{episode_id}{suffix}"
 
-    def add_part(self, episode_id: str, part: TickRange) -> None:
+    def add_part(self, episode_id: str, recording: Recording) -> None:
         """Keep the next ticks of a running episode."""
         parts = self._folder / f"{episode_id}.parts"
         parts.mkdir(exist_ok=True)
-        arrays: dict[str, npt.NDArray[np.generic]] = {name: np.asarray(getattr(part, name)) for name in FIELDS}
-        recording = Recording(part.start_tick, arrays, tuple(part.objects))
-        write_atomically(parts / f"{part.start_tick:010d}.npz", to_npz(recording))
+        write_atomically(parts / f"{recording.start_tick:010d}.npz", to_npz(recording))
 
     def finish(self, episode_id: str) -> Path | None:
         """Join the parts into the episode's one file (atomically) and drop them; None when nothing was recorded."""

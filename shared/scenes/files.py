@@ -57,7 +57,9 @@ def scene_from_data(data: object, source: str = "scene", tree: yaml.Node | None 
         line = "" if tree is None else f" line {_line_of(tree, first['loc'])}"
         place = where.removeprefix("scene").removeprefix(".")
         said = first["msg"].removeprefix("Value error, ")
-        others = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+        # A list whose item is wrong is told of as too short as well: that is the same fault once more.
+        rest = [other for other in error.errors()[1:] if first["loc"][: len(other["loc"])] != other["loc"]]
+        others = f" (and {len(rest)} more)" if rest else ""
         raise InvalidInputError(
             f"{source}{line}: {place + ': ' if place else ''}{said[0].lower() + said[1:]}{others}", field=where
         ) from error
@@ -91,6 +93,8 @@ def _of_file(path: Path, changed_ns: int) -> Scene:
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInputError(f"{path} cannot be read: {error}", field="scene") from error
     scene = parse_scene(text, path.name)
+    if "name" not in scene.model_fields_set:
+        return scene.model_copy(update={"name": path.stem})
     if scene.name != path.stem:
         raise InvalidInputError(
             f"{path.name}: the scene is called {scene.name!r}", field="scene.name", allowed=path.stem

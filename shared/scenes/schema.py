@@ -250,7 +250,7 @@ class Mark(_Data):
 class Scene(_Data):
     """A floor at z = 0 with objects and marks on it."""
 
-    name: Name
+    name: Name = "inline"
     description: Annotated[str, Field(max_length=500)] = ""
     bodies: Annotated[tuple[SceneBody, ...], Field(max_length=MAX_BODIES)] = ()
     marks: Annotated[dict[Name, Mark], Field(max_length=64)] = {}

@@ -15,6 +15,7 @@ import yaml
 
 from orchestrator.client import Client
 from orchestrator.core.episode import EpisodeSpec
+from shared.scenes.schema import Scene
 from tests.docs.blocks import PAGES, REPO, blocks_of, pages_with, script
 from tests.docs.conftest import Served
 
@@ -77,7 +78,8 @@ def test_every_other_block_is_read_or_says_why_it_is_not_run(page: Path) -> None
         if block.language == "json":
             json.loads(block.code)
         elif block.language == "yaml":
-            EpisodeSpec.model_validate(yaml.safe_load(block.code))
+            data = yaml.safe_load(block.code)
+            (Scene if "bodies" in data else EpisodeSpec).model_validate(data)
         elif block.language == "toml":
             assert tomllib.loads(block.code), block.place
         elif block.why is not None:

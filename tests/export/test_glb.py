@@ -10,7 +10,7 @@ import pytest
 
 from orchestrator.client import Motion
 from orchestrator.export.gltf import to_glb
-from orchestrator.store.recordings import FIELDS, Recording
+from orchestrator.store.recordings import Recording
 from shared.motion.figure import COLOURS, parts_of
 from shared.motion.ik import standing_clip
 from shared.motion.kinematics import forward_kinematics
@@ -143,7 +143,12 @@ def test_objects_of_the_scene_move_as_recorded() -> None:
         """
 name: two
 bodies:
-  - {name: crate, shape: box, size_m: [0.2, 0.3, 0.4], mass_kg: 5, position_w_m: [1, 0, 0.4]}
+  - name: crate
+    mass_kg: 5
+    position_w_m: [1, 0, 0.4]
+    parts:
+      - {shape: box, size_m: [0.2, 0.3, 0.4]}
+      - {shape: cylinder, size_m: [0.1, 0.5], position_b_m: [1, 0, 0], rotation_deg: [0, 90, 0], colour: [1, 0, 0]}
   - {name: ball, shape: sphere, size_m: [0.15], mass_kg: 1, position_w_m: [0, 2, 0.15]}
 """
     )
@@ -165,8 +170,7 @@ bodies:
         "fallen": np.zeros(count, "|u1"),
         "reference_pos_w_m": clip.positions_w_m.astype("<f4"),
     }
-    assert arrays.keys() == set(FIELDS)
-    data = to_glb(Recording(30, arrays, ("crate", "ball", "gone")), scene)
+    data = to_glb(Recording(30, arrays, ("crate", "ball", "gone"), "human", scene))
     file = pygltflib.GLTF2().load_from_bytes(data)
     posed = Posed(file)
     assert {"crate", "ball"} <= posed.at(0).keys()
@@ -175,4 +179,10 @@ bodies:
     assert np.allclose(position, [0.0, 0.0, 2.0], atol=1e-5)
     # 4 rad about our Z is 4 rad about glTF's Y.
     assert np.allclose(rotation @ [0.0, 0.0, 1.0], [np.sin(4.0), 0.0, np.cos(4.0)], atol=1e-5)
+    node = next(node for node in file.nodes if node.name == "crate")
+    plain, red = file.meshes[node.mesh].primitives
+    assert [file.materials[p.material].name for p in (plain, red)] == ["object", "object_ff0000"]
+    points = numbers(file, red.attributes.POSITION)  # in glTF's axes: our Y, Z, X
+    assert np.allclose(points.min(axis=0), [-0.1, -0.1, 0.5], atol=2e-3)
+    assert np.allclose(points.max(axis=0), [0.1, 0.1, 1.5], atol=2e-3)
     assert file.asset.extras["start_tick"] == 30

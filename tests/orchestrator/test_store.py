@@ -46,8 +46,8 @@ def _run_and_die(folder: Path) -> None:
     store.episode_started("e1", SPEC, {})
     store.event("e1", Event(seq=1, type="state", tick=3, unix_s=0.0, data={"after": "acting"}))
     files = RecordingFiles(store.recordings)
-    files.add_part("e1", ticks(0, 40))
-    files.add_part("e1", ticks(40, 20))
+    files.add_part("e1", Recording.of(ticks(0, 40)))
+    files.add_part("e1", Recording.of(ticks(40, 20)))
     store.flush()
     os.kill(os.getpid(), signal.SIGKILL)
 
@@ -106,8 +106,8 @@ def test_a_locked_store_loses_nothing(tmp_path: Path) -> None:
 
 def test_a_recording_comes_back_as_it_was(tmp_path: Path) -> None:
     files = RecordingFiles(tmp_path)
-    files.add_part("e", ticks(0, 10))
-    files.add_part("e", ticks(10, 5))
+    files.add_part("e", Recording.of(ticks(0, 10)))
+    files.add_part("e", Recording.of(ticks(10, 5)))
     path = files.finish("e")
     assert path is not None
     recording = from_npz(path)
@@ -122,7 +122,7 @@ def test_a_recording_comes_back_as_it_was(tmp_path: Path) -> None:
 
 def test_exports_hold_the_motion(tmp_path: Path) -> None:
     files = RecordingFiles(tmp_path)
-    files.add_part("e", ticks(0, 12))
+    files.add_part("e", Recording.of(ticks(0, 12)))
     path = files.finish("e")
     assert path is not None
     recording: Recording = from_npz(path)

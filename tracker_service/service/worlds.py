@@ -43,7 +43,7 @@ class Worlds:
         """
         if isinstance(scene, str):
             return sampled(load_scene(scene, self._folders), seed)
-        return sampled(scene_from_data({"name": "inline", **scene}), seed)
+        return sampled(scene_from_data(scene), seed)
 
     def scene_model(self, character_name: str, scene: Scene) -> SceneModel:
         """The compiled world; raises InvalidInputError that lists the known characters, or says what MuJoCo refused."""

@@ -28,14 +28,14 @@ const IDENTITY_POSE = 4;
 
 async function main() {
   const world = new World(byId("view"));
-  const [skeleton, scenes] = await Promise.all([call("GET", "/v1/skeleton"), call("GET", "/v1/scenes")]);
+  const skeleton = await call("GET", "/v1/skeleton");
   view.skeleton = skeleton;
   const shapes = bodyShapes(skeleton);
   const stage = {
     world, session: new Session(), replay: new Replay(), live: new LivePose(skeleton.joints.length),
     mannequin: new Mannequin(world.scene, skeleton, shapes), ghost: new Ghost(world.scene, skeleton, shapes),
     marker: new TargetMarker(world.scene), arrow: new PushArrow(world.scene),
-    objects: new SceneObjects(world.scene, scenes.items), moving: null,
+    objects: new SceneObjects(world.scene), moving: null,
   };
   expose(stage);
   setUpTabs();
@@ -47,6 +47,7 @@ async function main() {
   setUpToolbar(world, stage.ghost);
   setUpCharacters(stage.session);
   setUpPointer(stage);
+  setUpScene(stage);
   on("frame", ({ frame, mode }) => {
     if (mode === "live") stage.live.push(frame, performance.now());
     showObjects(stage.objects, frame);
@@ -103,6 +104,26 @@ function setUpPointer(stage) {
   setUpViewKeys(world, (joint, impulse) => {
     if (pointer.enabled) push(joint, impulse);
   });
+}
+
+/** The objects are those of the character watched, or of the episode replayed, as its seed drew them. */
+function setUpScene({ objects, replay }) {
+  let shown = null;
+  const refresh = () => {
+    const wanted = view.mode === "replay" ? `/v1/episodes/${replay.id}/scene`
+      : !view.watching?.kind ? null : `/v1/${view.watching.kind}s/${view.watching.id}/scene`;
+    if (wanted === shown) return;
+    shown = wanted;
+    objects.use(null);
+    if (wanted === null) return;
+    attempt(async () => {
+      const scene = await call("GET", wanted);
+      if (shown === wanted) objects.use(scene);
+    });
+  };
+  on("watching", refresh);
+  on("mode", refresh);
+  refresh();
 }
 
 function showObjects(objects, frame) {

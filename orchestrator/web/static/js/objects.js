@@ -9,14 +9,24 @@ const SHAPES = {
   sphere: ([radius]) => new THREE.SphereGeometry(radius, 32, 24),
 };
 
-/** Shows the bodies of all known scenes as far as the state names them. */
+/** Shows the bodies of one scene as far as the state names them. */
 export class SceneObjects {
-  constructor(scene, scenes) {
+  constructor(scene) {
     this.root = new THREE.Group();
-    this.bodies = new Map(scenes.flatMap(({ bodies }) => bodies.map((body) => [body.name, body])));
+    this.bodies = new Map();
     this.meshes = new Map();
     this.paints = new Map();
     scene.add(this.root);
+  }
+
+  /** The scene that is shown from now on, as its seed made it; null for none. */
+  use(scene) {
+    for (const mesh of this.meshes.values()) {
+      this.root.remove(mesh);
+      for (const solid of mesh.children) solid.geometry.dispose();
+    }
+    this.meshes.clear();
+    this.bodies = new Map((scene?.bodies ?? []).map((body) => [body.name, body]));
   }
 
   /** Names, positions (O x 3) and quaternions (O x 4, wxyz) of a state. */
