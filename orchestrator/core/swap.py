@@ -8,6 +8,7 @@ from typing import Any
 from orchestrator.core.services import Services, Slot, connect
 from shared.errors import IncompatiblePeerError, InvalidInputError
 from shared.motion.skeleton import CANONICAL
+from shared.plugins.checks import planner_spec, tracker_spec
 from shared.plugins.conformance import check_planner_endpoint, check_tracker_endpoint, require
 from shared.protocol.control import Health, HealthReport
 from shared.protocol.security import CurveKeys
@@ -35,6 +36,10 @@ def check_spec(slot: Slot) -> dict[str, Any]:
             field="skeleton",
             allowed=CANONICAL.id,
         )
+    if slot.welcome.service == "planner":
+        planner_spec(spec)
+    else:
+        tracker_spec(slot.welcome, slot.plugin)
     return spec
 
 

@@ -16,19 +16,30 @@ from orchestrator.core.drivers import LockstepDriver
 from orchestrator.core.loop import CharacterLoop
 from orchestrator.core.services import Services, connect
 from orchestrator.core.settings import LOCKSTEP
+from orchestrator.core.swap import swap
 from planner_service.service.service import PlannerService
 from planner_service.service.settings import PlannerSettings
-from shared.errors import IncompatiblePeerError
+from shared.errors import IncompatiblePeerError, InvalidInputError
 from shared.plugins.conformance import LocalProbe, check_planner, check_planner_endpoint, require
 from shared.plugins.interfaces import Planner, PlannerSpec
 from shared.plugins.registry import PLANNERS, PluginRegistry
 from shared.protocol.control import Ok
-from shared.protocol.messages import CloseCharacter, CreateCharacter, JointTarget, StateFrame
+from shared.protocol.messages import (
+    SERVO_TARGETS,
+    CloseCharacter,
+    CreateCharacter,
+    JointTarget,
+    Plan,
+    PlanRequest,
+    StateFrame,
+)
 from shared.protocol.rates import PLANNER_RATES, start_spacing
 from shared.tasks.interface import BodyView, PlanGoal, Trace, joined
 from tests.docs.test_examples import load
 from tracker_service.service.service import TrackerService
 from tracker_service.service.settings import TrackerServiceSettings
+from tracker_service.simulation.character_spec import HUMAN
+from tracker_service.simulation.humanoid import humanoid
 
 OWN_RATE = load(Path(__file__).resolve().parents[2] / "examples" / "own_rate" / "own_rate.py")
 GOAL_M = np.array([0.9, -0.4])
@@ -140,7 +151,67 @@ def test_what_the_loop_cannot_run_conformance_refuses_by_name(
         (refused,) = check_planner_endpoint(service.endpoint)
         assert (refused.name, refused.passed) == ("handshake", False)
         assert field in refused.detail
-        with pytest.raises(IncompatiblePeerError) as caught:
-            asyncio.run(drive(service.endpoint, tracker.endpoint))
-    assert caught.value.field == field
-    assert allowed in (caught.value.allowed or "")
+        for refusing in (drive, swap_in):
+            with pytest.raises(IncompatiblePeerError) as caught:
+                asyncio.run(refusing(service.endpoint, tracker.endpoint))
+            assert caught.value.field == field
+            assert allowed in (caught.value.allowed or "")
+
+
+async def swap_in(planner: str, tracker: str) -> None:
+    """Put the planner in a slot that holds another."""
+    with hosting(gliding(fps=20, prefix_frames=1, plan_frames=4)) as present:
+        services = Services(await connect(present.endpoint, "planner"), await connect(tracker, "tracker"))
+        kept = services.planner
+        try:
+            await swap(services, "planner", planner, None)
+        finally:
+            assert services.planner is kept
+            await services.close()
+
+
+class Puppeteer:
+    """A planner that holds still and says what the servos should do, half a second at a time."""
+
+    def __init__(self, space: str, hinges: int):
+        self._inner = gliding(fps=30, prefix_frames=1, plan_frames=30, replan_frames=15, conditions=("text",))
+        self.spec = self._inner.spec
+        self._space, self._hinges = space, hinges
+
+    def plan(self, requests: list[PlanRequest]) -> list[Plan]:
+        return [self._with_actions(plan) for plan in self._inner.plan(requests)]
+
+    def _with_actions(self, plan: Plan) -> Plan:
+        ticks = np.arange(plan.start_tick, plan.start_tick + 60)
+        actions = np.repeat(0.01 * ticks[:, None], self._hinges, axis=1)
+        if plan.start_tick >= 30:
+            return plan
+        return plan.model_copy(update={"actions": actions.astype("<f4"), "action_space": self._space})
+
+
+async def pull(planner: str, tracker: str) -> np.ndarray:
+    """(46, H) servo targets of a second and a half, by the log."""
+    services = Services(await connect(planner, "planner"), await connect(tracker, "tracker"))
+    loop = CharacterLoop(str(uuid.uuid4()), services, LOCKSTEP, seed=1)
+    try:
+        driver = LockstepDriver(loop, await loop.ask_tracker(StateFrame, CreateCharacter(tracker="pd")))
+        for _ in range(3):
+            await driver.cycle(lambda view, tick: PlanGoal(text="x"))
+        return np.asarray((await loop.ticks(0, 46, 30)).servo_target_rad)
+    finally:
+        await services.close()
+
+
+def test_actions_reach_the_servos_and_a_plan_without_them_ends_them() -> None:
+    """The plans at ticks 0 and 15 have two seconds of targets; the third has none: `pd` follows its pose again."""
+    with TrackerService(TrackerServiceSettings(endpoint="tcp://127.0.0.1:0", trackers=("pd",))) as tracker:
+        with hosting(Puppeteer(SERVO_TARGETS, len(humanoid(HUMAN).hinges))) as planner:
+            targets = asyncio.run(pull(planner.endpoint, tracker.endpoint))
+        chosen = 0.01 * np.arange(46)[:, None] * np.ones(targets.shape[1])
+        np.testing.assert_allclose(targets[1:31], chosen[:30], atol=1e-6)
+        assert np.abs(np.diff(targets[36:], axis=0)).max() < 0.003, "the plan holds its pose, the chunk would go on"
+        with (
+            hosting(Puppeteer("codes", 4)) as alien,
+            pytest.raises(InvalidInputError, match="takes no actions in the space 'codes'"),
+        ):
+            asyncio.run(pull(alien.endpoint, tracker.endpoint))
