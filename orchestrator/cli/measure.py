@@ -24,13 +24,24 @@ bench = typer.Typer(no_args_is_help=True, help="Measure how fast it is.")
 Planner = Annotated[str | None, typer.Option(help="planner plug-in")]
 Tracker = Annotated[str | None, typer.Option(help="tracker plug-in")]
 Threads = Annotated[int, typer.Option(help="CPU threads of the planner")]
+FIXED = {"pacing": "lockstep", "planner_batch": 1, "seeds": "one an episode or stream, from --seed"}
+"""What makes an evaluation repeat: the same command gives the same table on the same machine."""
 Job = Callable[[Services, Stack], Awaitable[dict[str, Any]]]
 
 
-def with_services(job: Job, planner: str | None, tracker: str | None, threads: int) -> dict[str, Any]:
-    """Run a measurement over a planner and a tracker of its own; adds what they were."""
+def with_services(
+    job: Job, planner: str | None, tracker: str | None, threads: int, repeatable: bool = False
+) -> dict[str, Any]:
+    """Run a measurement over a planner and a tracker of its own; adds what they were.
+
+    Args:
+        repeatable: plan for one character at a time. What else is in a batch changes the last bits of a plan, and which
+            requests meet in one depends on the clock; chaotic as bodies are, a table would differ from run to run.
+    """
+    batch = ("--max-batch", "1") if repeatable else ()
     stack = Stack(
-        StackOptions(planner_args=("--threads", str(threads)), tracker_args=("--max-characters", "64")), console.print
+        StackOptions(planner_args=("--threads", str(threads), *batch), tracker_args=("--max-characters", "64")),
+        console.print,
     )
 
     async def run() -> dict[str, Any]:
@@ -45,6 +56,7 @@ def with_services(job: Job, planner: str | None, tracker: str | None, threads: i
                 "planner": services.planner.spec(),
                 "tracker": services.tracker.spec(),
                 "planner_threads": threads,
+                **({"deterministic": True, "fixed": {**FIXED, "planner_threads": threads}} if repeatable else {}),
             }
         finally:
             await services.close()
@@ -99,7 +111,7 @@ def eval_tasks(
             lambda services, stack: evaluate_tasks(
                 services, names, episodes, seed, variant, parallel, planner, tracker, resume, bar.update
             ),
-            planner, tracker, threads,
+            planner, tracker, threads, repeatable=True,
         )  # fmt: skip
     write_json(json, {**result, **provenance(seed)})
 
@@ -121,7 +133,7 @@ def eval_text(
             lambda services, stack: evaluate_text(
                 services, minutes, seed, every_s, parallel, planner, tracker, progress=bar.update
             ),
-            planner, tracker, threads,
+            planner, tracker, threads, repeatable=True,
         )  # fmt: skip
     write_json(json, {**result, **provenance(seed)})
 

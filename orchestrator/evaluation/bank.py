@@ -145,6 +145,6 @@ async def _stream(
                 state = await loop.reset()
                 goal = CommandGoal(Command(text="a person is standing still."), state.tick)
                 until = state.tick + round(RESET_S * TICK_HZ)
-                driver.replan_now()
+                await driver.drop_plan()
             since = state.tick
     await loop.ask_tracker(Ok, CloseCharacter())

@@ -122,7 +122,7 @@ async def _stream(
         )
         if fell:
             await loop.reset()
-            driver.replan_now()
+            await driver.drop_plan()
             while state.tick < end + TICK_HZ:
                 state = (await driver.cycle(CommandGoal(Command(text="stand still"), state.tick), 15)).state
     await loop.ask_tracker(Ok, CloseCharacter())
