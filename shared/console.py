@@ -61,7 +61,7 @@ def in_words(error: BaseException) -> str:
     ours = as_ours(error)
     where = f" in {ours.field}" if ours.field else ""
     allowed = f"\n  allowed: {ours.allowed}" if ours.allowed else ""
-    return f"{ours.code}{where}: {ours.message}{allowed}"
+    return f"{ours.code}{where}: {' '.join(ours.message.split())}{allowed}"
 
 
 @contextmanager

@@ -57,6 +57,10 @@ def test_expected_errors_are_one_sentence(tmp_path: Path, capsys: pytest.Capture
     assert sentence in said and said.count("\n") == 1
 
 
+def test_a_message_of_several_lines_becomes_one() -> None:
+    assert in_words(InvalidInputError("not YAML:\n  line 3\n    ^")) == "invalid_input: not YAML: line 3 ^"
+
+
 def test_faults_of_the_program_stay_faults() -> None:
     with pytest.raises(ZeroDivisionError), errors_for_people():
         _ = 1 / 0

@@ -16,6 +16,7 @@ from shared.errors import InvalidInputError
 from shared.motion.body import Array
 from shared.motion.io.files import read_motion
 from shared.motion.io.options import ReadOptions, read_joint_map
+from shared.motion.skeleton import CANONICAL
 from tests.data.walks import FRAMES, JOINTS, WALKED_M, X_UP, Z_UP, Spelling, hips, local_rotations, plain
 
 SAME_M = 1e-3
@@ -189,6 +190,16 @@ EXPORTERS: dict[str, tuple[Spelling, str]] = {
                 ("Shoulder", "UArm", "FArm", "Hand", "Thigh", "Shin", "Foot", "Toe"), ("L", "R")),
         "OptiTrack",
     ),
+    "kinect": (
+        renamed({"Hips": "SpineBase"}, "{p}{s}",
+                ("Clavicle", "Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle", "Foot"), ("Left", "Right")),
+        "other",
+    ),
+    "upper and lower": (
+        renamed({}, "{s}{p}", ("Collar", "ArmUpper", "ArmLower", "Hand", "LegUpper", "LegLower", "Foot", "Toe"),
+                ("Left", "Right")),
+        "other",
+    ),
     "rigify": (
         renamed({}, "DEF-{p}.{s}", ("shoulder", "upper_arm", "forearm", "hand", "thigh", "shin", "foot", "toe"),
                 ("L", "R")),
@@ -264,6 +275,25 @@ def test_the_base_walks_as_far_as_it_should(walk: Array) -> None:
     # Legs of 81 cm become legs of 85.9 cm, and the way with them.
     assert walk[-1, 0, 0] - walk[0, 0, 0] == pytest.approx(WALKED_M * 0.8593 / 0.81, rel=0.01)
     assert len(walk) == FRAMES
+
+
+def test_a_skeleton_without_toes_whose_zero_pose_is_no_stand(tmp_path: Path) -> None:
+    """The zero pose is laid on its back, so that upright frames calibrate; nothing shows which way a foot points."""
+    turn = Rotation.from_euler("x", 35, degrees=True).as_matrix()
+    text = Spelling(turn=np.eye(3), rest=turn).text()
+    names = re.findall(r"(?:ROOT|JOINT) (\w+)", text)
+    toes = [3 + 3 * names.index(f"{side}ToeBase") + k for side in ("Left", "Right") for k in range(3)]
+    head, rows = text.split("Frame Time: 0.0333333\n")
+    for side in ("Left", "Right"):
+        head, count = re.subn(rf"\t*JOINT {side}ToeBase\n(\t*)\{{.*?\n\1\}}\n", "", head, flags=re.DOTALL)
+        assert count == 1
+    kept = [" ".join(w for k, w in enumerate(row.split()) if k not in toes) for row in rows.strip().splitlines()]
+    (tmp_path / "walk.bvh").write_text(head + "Frame Time: 0.0333333\n" + "\n".join(kept) + "\n")
+    raw = read_motion(tmp_path / "walk.bvh")
+    assert "left_toe" not in raw.landmarks() and raw.up == "y"
+    clip, _ = load_clip(tmp_path / "walk.bvh")
+    foot = clip.positions_w_m[:, CANONICAL.index("left_foot")] - clip.positions_w_m[:, CANONICAL.index("left_ankle")]
+    assert foot[:, 0].min() > 0.05
 
 
 def test_unknown_names_are_listed_and_a_map_helps(tmp_path: Path, walk: Array) -> None:

@@ -13,7 +13,9 @@ from typer.testing import CliRunner
 from orchestrator.cli import main as cli
 from shared.motion.ik import clip_from_positions, standing_clip
 from shared.motion.io.bvh import write_bvh
+from shared.motion.io.options import ReadOptions
 from tests.data.samples import stepping
+from tests.data.walks import Spelling
 from tracker_service.training.evaluate_clips import motions_of_files
 
 IN_PROCESS = CliRunner(env={"COLUMNS": "200", "TERM": "dumb"})
@@ -129,3 +131,20 @@ def test_eval_tracker_follows_a_folder_of_clips(tmp_path: Path) -> None:
     (clips / "stand" / "still.bvh").unlink()
     motions, outcomes = motions_of_files(clips)
     assert motions == [] and [outcome.label for outcome in outcomes] == ["broken.bvh"]
+
+
+def test_eval_tracker_reads_clips_as_it_is_told(tmp_path: Path) -> None:
+    """Rate and map reach the readers; without a clip to follow the result is written all the same."""
+    clips = tmp_path / "clips"
+    clips.mkdir()
+    (clips / "walk.bvh").write_text(Spelling(names={"LeftUpLeg": "Bone_13"}, frame_time="33.333").text())
+    told: list[str] = []
+    options = ReadOptions(fps=60.0, joints={"left_hip": "Bone_13"})
+    (motion,), (outcome,) = motions_of_files(clips, options, told.append)
+    assert outcome.loaded is not None and outcome.loaded.fps == 60.0 and len(motion.positions_w_m) == 45
+    assert told[0].startswith("walk.bvh  60 fps") and told[1].startswith("warning: walk.bvh: Frame Time 33.333 s")
+    result_file = tmp_path / "result.json"
+    said = run("eval", "tracker", "--clips", str(clips), "--json", str(result_file), code=1)
+    assert "error: walk.bvh: Frame Time 33.333 s" in said and "can be followed" in said
+    result = json.loads(result_file.read_text())
+    assert result["clips"] == 0 and list(result["errors"]) == ["walk.bvh"]

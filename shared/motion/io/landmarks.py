@@ -15,13 +15,13 @@ Array = npt.NDArray[np.float64]
 # Names are compared in lower case without separators, prefixes, side words or digits at the end.
 # For each landmark the aliases come in order of preference.
 ALIASES: dict[str, tuple[str, ...]] = {
-    "hip": ("upleg", "thigh", "upperleg", "hip", "uleg", "femur", "femurstart", "hipjoint"),
-    "knee": ("leg", "calf", "knee", "shin", "lowerleg", "lowleg", "shank", "lleg", "tibia"),
+    "hip": ("upleg", "thigh", "upperleg", "hip", "uleg", "femur", "femurstart", "legupper", "hipjoint"),
+    "knee": ("leg", "calf", "knee", "shin", "lowerleg", "lowleg", "shank", "lleg", "leglower", "tibia"),
     "ankle": ("foot", "ankle"),
     "toe": ("toebase", "toe", "ball", "toes", "forefoot", "foottoe", "footend"),
     "collar": ("shoulder", "clavicle", "collar", "clav", "scapula"),
-    "shoulder": ("arm", "upperarm", "shoulder", "shldr", "uparm", "uarm", "humerus"),
-    "elbow": ("forearm", "elbow", "lowerarm", "lowarm", "farm", "larm", "radius"),
+    "shoulder": ("arm", "upperarm", "shoulder", "shldr", "uparm", "uarm", "armupper", "humerus"),
+    "elbow": ("forearm", "elbow", "lowerarm", "lowarm", "farm", "larm", "armlower", "radius"),
     "wrist": ("wrist", "hand"),
     "head": ("head",),
     "neck": ("neck", "lowerneck", "necklower", "necktwist"),
