@@ -14,6 +14,7 @@ from tracker_service.simulation.humanoid import humanoid
 from tracker_service.training import suites
 from tracker_service.training.dataset import MotionInput, prepare
 from tracker_service.training.env import EnvSettings, TrackingEnv
+from tracker_service.training.knocks import push
 from tracker_service.training.policies import policy_of
 
 HUMAN = humanoid(character("human"))
@@ -24,7 +25,7 @@ def test_a_push_gives_the_whole_body_its_momentum() -> None:
     env = TrackingEnv(HUMAN, references, EnvSettings(envs=2), seed=0)
     env.start_at(np.zeros(2, dtype=np.int64))
     before = env.qvel.copy()
-    suites.push(env, np.array([1]), np.array([[12.0, -5.0, 3.0]]))
+    push(env, np.array([1]), np.array([[12.0, -5.0, 3.0]]))
     np.testing.assert_array_equal(env.qvel[0], before[0])
     data = mujoco.MjData(env.model)
     data.qpos[:], data.qvel[:] = env.qpos[1], env.qvel[1] - before[1]

@@ -25,9 +25,9 @@ from tracker_service.simulation.character_spec import HUMAN
 from tracker_service.simulation.humanoid import Humanoid, humanoid
 from tracker_service.training.dataset import MotionInput, ReferenceSet, prepare
 from tracker_service.training.env import SUBSTEPS, EnvSettings, TrackingEnv
+from tracker_service.training.knocks import long_walks, push
 from tracker_service.training.policies import policy_of
 from tracker_service.training.seats import CONTROL_SPEC, mocap_of
-from tracker_service.training.suites import long_walks, push
 
 F32 = npt.NDArray[np.float32]
 Floats = npt.NDArray[np.float64]

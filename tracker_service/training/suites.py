@@ -1,7 +1,8 @@
 """`eval tracker --suite`: what following recorded clips does not show: standing still, pushes, seats.
 
 stand: a minute on the spot, drift of the pelvis and jitter of the joints. pushes: impulses at the pelvis from 16 sides,
-standing and walking, and who is still up three seconds later. seats: held-out clips that sit down, sit or rise.
+standing and walking, and who is still up three seconds later. seats: held-out clips that sit down, sit or rise. falls:
+who of those knocked over gets up.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
 
@@ -21,19 +21,21 @@ from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.training.dataset import MotionInput, ReferenceSet, prepare, seat_in
 from tracker_service.training.env import EnvSettings, TrackingEnv
 from tracker_service.training.evaluate import evaluate
+from tracker_service.training.falls import falls, library_of, upright_references
+from tracker_service.training.knocks import long_walks, push
 
 F32 = npt.NDArray[np.float32]
 Floats = npt.NDArray[np.float64]
 Policy = Callable[[F32], F32]
 
-SUITES = ("stand", "pushes", "seats")
+SUITES = ("stand", "pushes", "seats", "falls")
+FALLS, SEED = 200, 1001
 STAND_S = 60.0
 SETTLE_S = 2.0
 PUSHES_NS = (10.0, 20.0, 40.0)
 DIRECTIONS = 16
 PUSH_TICK = 45
 AFTER_PUSH_S = 3.0
-WALKS = 4
 SEAT_BANDS_M = (0.2, 0.3, 0.4, 0.5, 0.6)
 
 
@@ -83,22 +85,6 @@ def _low(human: Humanoid, pos_w_m: npt.NDArray[np.floating]) -> npt.NDArray[np.b
     return np.asarray(pos_w_m[..., head, 2] < 0.5 * float(human.skeleton.rest_positions_m[head, 2]))
 
 
-def push(env: TrackingEnv, rows: npt.NDArray[np.int64], impulse_w_ns: Floats) -> None:
-    """Change velocities of some environments as an impulse (N, 3) at the pelvis' centre of mass does."""
-    model, data = env.model, mujoco.MjData(env.model)
-    body = model.body("pelvis").id
-    nq, nv = model.nq, model.nv
-    for row, impulse in zip(rows, impulse_w_ns, strict=True):
-        data.qpos[:] = env.state[row, 1 : 1 + nq]
-        data.qvel[:] = env.state[row, 1 + nq : 1 + nq + nv]
-        mujoco.mj_forward(model, data)
-        force, change = np.zeros((1, nv)), np.zeros((1, nv))
-        mujoco.mj_applyFT(model, data, impulse, np.zeros(3), data.xipos[body], body, force[0])
-        mujoco.mj_solveM(model, data, change, force)
-        env.state[row, 1 + nq : 1 + nq + nv] += change[0]
-    env.moved()
-
-
 def pushes(human: Humanoid, settings: EnvSettings, policy: Policy, corpus: Corpus | None) -> dict[str, Any]:
     """Share of humanoids that are up three seconds after a push, by impulse, standing and (with a corpus) walking.
 
@@ -134,18 +120,6 @@ def pushes(human: Humanoid, settings: EnvSettings, policy: Policy, corpus: Corpu
     return out
 
 
-def long_walks(corpus: Corpus, ticks: int) -> list[MotionInput]:
-    """The first few held-out recordings of straight walking that are long enough."""
-    found = [
-        MotionInput(clip.name, clip.behaviour, 1.0, corpus.positions(i))
-        for i, clip in enumerate(corpus.clips)
-        if clip.split == "heldout" and clip.action in ("walk", "walk_fast", "walk_slow") and clip.frames >= ticks
-    ]
-    if not found:
-        raise InvalidInputError("the corpus holds out no straight walk that is long enough", field="corpus")
-    return found[:WALKS]
-
-
 def seats(human: Humanoid, settings: EnvSettings, policy: Policy, corpus: Corpus | None) -> dict[str, Any]:
     """Held-out clips with a seat, by behaviour and by the seat's height; success as for other clips."""
     motions = [
@@ -167,11 +141,19 @@ def seats(human: Humanoid, settings: EnvSettings, policy: Policy, corpus: Corpus
     return result
 
 
+def get_ups(human: Humanoid, settings: EnvSettings, policy: Policy, corpus: Corpus | None) -> dict[str, Any]:
+    """FALLS bodies knocked over, and the share of them that get up by the corpus' get-ups; see `training.falls`."""
+    library = [] if corpus is None else library_of(corpus, "train")
+    if not library:
+        raise InvalidInputError("no get-up in the corpus", field="corpus", allowed="a corpus with get-ups")
+    return falls(human, settings, policy, upright_references(human, corpus), library, FALLS, SEED)
+
+
 def run_suite(
     name: str, human: Humanoid, settings: EnvSettings, policy: Policy, corpus: Corpus | None
 ) -> dict[str, Any]:
     """Result of a suite by name; see the functions."""
-    suites = {"stand": stand, "pushes": pushes, "seats": seats}
+    suites = {"stand": stand, "pushes": pushes, "seats": seats, "falls": get_ups}
     if name not in suites:
         raise InvalidInputError(f"unknown suite {name!r}", field="suite", allowed=", ".join(SUITES))
     return suites[name](human, settings, policy, corpus)
