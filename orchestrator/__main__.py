@@ -7,7 +7,7 @@ import sys
 
 from orchestrator.api.server import serve
 from orchestrator.api.settings import OrchestratorSettings
-from shared.errors import MotionLoopError
+from shared.console import EXPECTED, as_ours
 from shared.settings import add_arguments, load_settings
 
 
@@ -18,9 +18,10 @@ def main() -> int:
     try:
         settings = load_settings(OrchestratorSettings, vars(parser.parse_args()))
         serve(settings)
-    except MotionLoopError as error:
-        allowed = f" (allowed: {error.allowed})" if error.allowed else ""
-        sys.stderr.write(f"{error.message}{allowed}\n")
+    except EXPECTED as error:
+        told = as_ours(error)
+        allowed = f" (allowed: {told.allowed})" if told.allowed else ""
+        sys.stderr.write(f"{told.message}{allowed}\n")
         return 2
     return 0
 
