@@ -16,7 +16,8 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from shared.motion.skeleton import skeleton
-from tracker_service.rendering.video_job import TICK_HZ, VideoJob, camera_distance_m, camera_path, load_job
+from shared.protocol.rates import TICK_HZ
+from tracker_service.rendering.video_job import VideoJob, camera_distance_m, camera_path, load_job
 
 Frame = npt.NDArray[np.uint8]
 BACKENDS = ("egl", "osmesa", "drawn")

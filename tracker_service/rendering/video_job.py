@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.motion.skeleton import CANONICAL
+from shared.protocol.rates import TICK_HZ
 from tracker_service.rendering.scene_shapes import SceneShape
 
 FloatArray = npt.NDArray[np.floating]
 Camera = Literal["follow", "side", "top"]
-TICK_HZ = 30
 
 
 @dataclass(frozen=True)

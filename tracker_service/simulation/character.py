@@ -16,11 +16,11 @@ import numpy.typing as npt
 from shared.errors import InvalidInputError, SimulationError
 from shared.motion.rotations import cross, matrix_from_quat
 from shared.plugins.interfaces import Tracker, TrackerObservation
-from shared.protocol.rates import PLANNER_FPS, TICK_HZ
+from shared.protocol.rates import PHYSICS_HZ, PLANNER_FPS, TICK_HZ
 from tracker_service.simulation.contacts import Contacts
 from tracker_service.simulation.drive import Driver
 from tracker_service.simulation.fallen import FallDetector
-from tracker_service.simulation.humanoid import FEET, PHYSICS_HZ
+from tracker_service.simulation.humanoid import FEET
 from tracker_service.simulation.objects import Vector, set_object
 from tracker_service.simulation.reference import ReferenceBuffer
 from tracker_service.simulation.scene import SceneModel

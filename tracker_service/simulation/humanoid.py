@@ -17,12 +17,12 @@ import numpy.typing as npt
 
 from shared.motion.rotations import quat_from_matrix
 from shared.motion.skeleton import CANONICAL, Skeleton
+from shared.protocol.rates import PHYSICS_HZ
 from tracker_service.simulation.character_spec import Character
 from tracker_service.simulation.hinges import Hinges, human_hinges
 
 Array = npt.NDArray[np.float64]
 
-PHYSICS_HZ = 120
 TRUNK = ("pelvis", "spine1", "spine2", "spine3", "neck", "head")
 """Bodies that touch the floor only when fallen or lying."""
 FEET = ("left_ankle", "left_foot", "right_ankle", "right_foot")

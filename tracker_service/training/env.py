@@ -15,7 +15,7 @@ import numpy.typing as npt
 from mujoco import rollout
 from pydantic import BaseModel, ConfigDict, Field
 
-from shared.protocol.rates import TICK_HZ
+from shared.protocol.rates import PHYSICS_HZ, TICK_HZ
 from tracker_service.policy.observations import (
     PREVIEW_TICKS,
     PolicyInput,
@@ -23,7 +23,7 @@ from tracker_service.policy.observations import (
     observation_size,
     observe,
 )
-from tracker_service.simulation.humanoid import PHYSICS_HZ, Humanoid
+from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.simulation.kinematics import BodyKinematics, BodyStates
 from tracker_service.training import rewards
 from tracker_service.training.dataset import ReferenceSet
