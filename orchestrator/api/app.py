@@ -13,6 +13,7 @@ from fastapi import Depends, FastAPI
 from orchestrator.api import catalogue, characters, episodes, motion, objects, page, problems, replay, services, stream
 from orchestrator.api.deps import check_token
 from orchestrator.api.health import HealthWatch
+from orchestrator.api.hosts import HostGuard
 from orchestrator.api.settings import OrchestratorSettings
 from orchestrator.core.manager import Orchestrator
 from orchestrator.core.scenes import Scenes
@@ -77,6 +78,8 @@ def create_app(settings: OrchestratorSettings, opened: Orchestrator | None = Non
     app.state.orchestrator = None
     app.state.token = None if settings.token is None else settings.token.get_secret_value()
     problems.install(app)
+    if settings.token is None or settings.allowed_hosts:
+        app.add_middleware(HostGuard, allowed=(settings.host, *settings.allowed_hosts))
     guarded: list[Any] = [Depends(check_token)]
     app.include_router(characters.router, dependencies=guarded)
     app.include_router(episodes.router, dependencies=guarded)

@@ -19,6 +19,8 @@ class OrchestratorSettings(Settings):
     Attributes:
         host, port: of the HTTP server; port 0 takes a free one. A host beyond loopback needs `token`.
         token: bearer token that every request must carry.
+        allowed_hosts: names by which the server may be addressed beside loopback's. With a token any will do, as a page
+            that lures a browser here does not have it.
         planner, tracker: ZeroMQ endpoints of the services.
         planner_plugin, tracker_plugin: which plug-ins to use; None for the services' defaults.
         data_dir: database and recordings.
@@ -33,6 +35,7 @@ class OrchestratorSettings(Settings):
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 8080
     token: SecretStr | None = None
+    allowed_hosts: tuple[str, ...] = ()
     planner: str = "tcp://127.0.0.1:5601"
     tracker: str = "tcp://127.0.0.1:5602"
     planner_plugin: str | None = None

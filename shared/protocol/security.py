@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import ipaddress
+import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,6 +56,16 @@ def create_curve_keys(folder: Path) -> None:
     for side in ("server", "client"):
         _, secret = zmq.auth.create_certificates(folder, side)
         Path(secret).chmod(0o600)
+
+
+def move_client_keys(folder: Path, other: Path) -> None:
+    """Move the client's secret of `create_curve_keys` to another folder, and copy the public keys that it needs."""
+    other.mkdir(parents=True, exist_ok=True)
+    for name in ("client.key", "server.key"):
+        shutil.copy(folder / name, other / name)
+    secret = other / "client.key_secret"
+    shutil.move(folder / "client.key_secret", secret)
+    secret.chmod(0o600)
 
 
 def is_local(endpoint: str) -> bool:
