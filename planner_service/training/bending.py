@@ -20,6 +20,8 @@ MAX_RATE_RADPS = 0.6
 FULL_SPEED_MPS = 0.9
 """At this speed and above the full rate is used; below, proportionally less."""
 WALKING_MPS = 0.45
+MAX_SIDEWAYS_MPS2 = 1.0
+"""Bent windows do not lean: faster motion is bent less, so that a body could perform it upright."""
 BENT_SHARE = 0.6
 RAMP_FRAMES = 6
 
@@ -73,7 +75,10 @@ def random_turns(features: Features, prefix_frames: int, rng: np.random.Generato
     b, t = features.shape[:2]
     speed = np.linalg.norm(features[..., ROOT_VELOCITY].mean(axis=1), axis=-1)
     chosen = (speed > WALKING_MPS) & (rng.random(b) < BENT_SHARE)
-    rate = rng.uniform(-MAX_RATE_RADPS, MAX_RATE_RADPS, b) * np.minimum(speed / FULL_SPEED_MPS, 1.0) * chosen
+    most = np.minimum(
+        MAX_RATE_RADPS * np.minimum(speed / FULL_SPEED_MPS, 1.0), MAX_SIDEWAYS_MPS2 / np.maximum(speed, 0.1)
+    )
+    rate = rng.uniform(-1.0, 1.0, b) * most * chosen
     begin = np.where(rng.random(b) < 0.5, -RAMP_FRAMES, rng.integers(prefix_frames - 8, prefix_frames + 8, b))
     ramp = np.clip((np.arange(t)[None] - begin[:, None]) / RAMP_FRAMES, 0.0, 1.0)
     return np.asarray(rate[:, None] * ramp / FPS)

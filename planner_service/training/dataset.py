@@ -17,7 +17,7 @@ from planner_service.text.encoder import TextEncoder, pad_tokens
 from planner_service.training.bending import bend, random_turns
 from planner_service.training.disturbance import disturb
 from planner_service.training.evidence import deed_ahead, plans_showing
-from planner_service.training.joins import JoinFinder, blend_frames, join
+from planner_service.training.joins import MAX_SPEED_GAP_MPS, JoinFinder, blend_frames, join, speed_gap_mps
 from planner_service.training.windows import FPS, Features, repeat_first_rates, window_positions
 from shared.data.corpus import Corpus
 from shared.errors import InvalidInputError
@@ -31,6 +31,7 @@ OTHER_BEHAVIOUR_SHARE = 0.85
 """Of the joined windows, how many change the behaviour; the rest join two clips of the same one."""
 DISTURBED_SHARE = 0.5
 JOIN_SPREAD = 6
+JOIN_TRIES = 4
 """The joint lies within this many frames of the end of the prefix."""
 
 
@@ -213,7 +214,8 @@ class WindowSampler:
             joined = rng.random(batch) < JOINED_SHARE
             rows = np.flatnonzero(joined)
             if len(rows):
-                windows[rows], clip[rows] = self._join(clip[rows])
+                made, joined_windows, joined_clip = self._join(clip[rows])
+                windows[rows[made]], clip[rows[made]] = joined_windows, joined_clip
             turns = random_turns(windows, self._prefix, rng)
             windows = bend(windows, turns)
             bent = (turns != 0.0).any(axis=1)
@@ -225,14 +227,16 @@ class WindowSampler:
         shown = plans_showing(windows[:, self._prefix :], [m.behaviours[m.behaviour[c]] for c in clip])
         return WindowBatch(torch.from_numpy(windows), clip, sentence, shown, bent)
 
-    def _join(self, clip: Index) -> tuple[Features, Index]:
-        """Windows that leave each of `clip` for another; they and the clips that they end in."""
+    def _join(self, clip: Index) -> tuple[npt.NDArray[np.bool_], Features, Index]:
+        """Windows that leave each of `clip` for another: which of them a body could perform, those, and the clips that
+        they end in."""
         m, rng, finder = self.material, self._rng, self._finder
         assert finder is not None
         before = rng.integers(self._prefix - JOIN_SPREAD, self._prefix + JOIN_SPREAD + 1, len(clip))
         last = m.start[clip] + before + (rng.random(len(clip)) * (m.length[clip] - before)).astype(np.int64) - 1
         last = np.maximum(last, m.start[clip] + before - 1)
         enter, distance = np.zeros(len(last), np.int64), np.zeros(len(last))
+        made = np.zeros(len(last), np.bool_)
         can = finder.behaviours
         for row, frame in enumerate(last):
             own = int(m.behaviour[clip[row]])
@@ -241,10 +245,17 @@ class WindowSampler:
                 share[[b == own for b in can]] = 0.0
             if share.sum() == 0:
                 share[:] = 1.0
-            wanted = can[int(rng.choice(len(can), p=share / share.sum()))]
-            enter[row], distance[row] = finder.find(int(frame), wanted, rng)
+            for _ in range(JOIN_TRIES):
+                wanted = can[int(rng.choice(len(can), p=share / share.sum()))]
+                enter[row], distance[row] = finder.find(int(frame), wanted, rng)
+                if speed_gap_mps(m.features, int(frame), int(enter[row])) <= MAX_SPEED_GAP_MPS:
+                    made[row] = True
+                    break
+        if not made.any():
+            return made, m.features[np.zeros((0, self._frames), np.int64)], clip[:0]
+        last, enter, before, distance = last[made], enter[made], before[made], distance[made]
         windows = join(m.features, last, enter, before, blend_frames(distance), self._frames)
-        return windows, m.clip[enter]
+        return made, windows, m.clip[enter]
 
 
 def feature_statistics(sampler: WindowSampler, batches: int = 16) -> tuple[Tensor, Tensor]:

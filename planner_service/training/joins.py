@@ -21,6 +21,9 @@ BLEND_FRAMES = 6
 """0.3 s; more where poses or speeds lie far apart."""
 MOST_BLEND_FRAMES = 14
 NEIGHBOURS = 8
+MAX_SPEED_GAP_MPS = 0.5
+"""Joints whose roots differ more in velocity are not made: the blend would change speed faster than legs can. A run is
+entered from a stand by way of a recorded or made start, and left by way of a stop."""
 _BLENDED = np.r_[0:67]
 """Features that carry the state: rates and height of the root, joint positions. The rest is derived from them."""
 
@@ -102,6 +105,12 @@ def join(features: Features, last: Index, enter: Index, frames_before: Index, bl
     changed = left > 0
     rotations[changed] = ik_6d(positions[changed])
     return window_features(positions, rotations)
+
+
+def speed_gap_mps(features: Features, last: int, enter: int) -> float:
+    """By how much the root's horizontal velocity jumps from frame `last` to what comes before frame `enter`."""
+    gap = features[last, ROOT_VELOCITY].astype(np.float64) - features[enter - 1, ROOT_VELOCITY]
+    return float(np.linalg.norm(gap))
 
 
 def blend_frames(distance: npt.ArrayLike) -> Index:

@@ -12,6 +12,7 @@ from planner_service.dip.config import preset
 from planner_service.dip.features_torch import Normalizer, plan_to_positions
 from planner_service.dip.network import DipNetwork
 from planner_service.dip.weights import load_weights
+from planner_service.training.bending import MAX_SIDEWAYS_MPS2, random_turns
 from planner_service.training.dataset import (
     Material,
     TextBank,
@@ -21,12 +22,12 @@ from planner_service.training.dataset import (
     load_material,
 )
 from planner_service.training.export import export
-from planner_service.training.joins import JoinFinder, join
+from planner_service.training.joins import JoinFinder, join, speed_gap_mps
 from planner_service.training.losses import LossWeights, dip_loss, feature_weights, sample_targets
 from planner_service.training.trainer import Trainer, TrainSettings, learning_rate, read_checkpoint
 from shared.data.corpus import Corpus
 from shared.errors import InvalidInputError
-from shared.motion.features import FEATURES, YAW_RATE
+from shared.motion.features import FEATURES, ROOT_VELOCITY, YAW_RATE
 from tests.planner.dip_helpers import HashEncoder, write_small_corpus
 
 
@@ -90,6 +91,27 @@ def test_joined_windows_have_no_jump(material: Material) -> None:
     after = material.features[enter[:, None] + np.arange(10, 40)]
     np.testing.assert_allclose(windows[:, 1:19, :259], before[..., :259], atol=1e-4)
     np.testing.assert_allclose(windows[:, 30:, :4], after[..., :4], atol=1e-4)
+
+
+def test_only_what_legs_can_follow_is_joined(material: Material, monkeypatch: pytest.MonkeyPatch) -> None:
+    features = material.features.copy()
+    sampler = WindowSampler(material, 20, 40, 5)
+    made, windows, ends = sampler._join(np.zeros(12, np.int64))
+    assert made.any() and len(windows) == len(ends) == made.sum()
+    assert speed_gap_mps(features, 30, 31) < 0.2
+    features[30, ROOT_VELOCITY] += 3.0
+    assert speed_gap_mps(features, 30, 40) == pytest.approx(3.0 * 2**0.5, abs=0.5)
+    monkeypatch.setattr("planner_service.training.dataset.MAX_SPEED_GAP_MPS", -1.0)
+    made, windows, ends = sampler._join(np.zeros(12, np.int64))
+    assert not made.any() and windows.shape == (0, 60, 263) and len(ends) == 0
+    assert torch.isfinite(sampler.draw(8).features).all()
+
+
+def test_fast_windows_are_bent_as_far_as_a_body_bears_it_upright() -> None:
+    features = np.zeros((200, 60, 263), np.float32)
+    features[..., ROOT_VELOCITY.start] = 4.0
+    sideways = 4.0 * np.abs(random_turns(features, 20, np.random.default_rng(0))).max(axis=1) * 20
+    assert 0.8 < sideways.max() <= MAX_SIDEWAYS_MPS2 + 1e-6
 
 
 def test_perfect_prediction_leaves_only_the_datas_own_skating(material: Material) -> None:
