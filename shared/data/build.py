@@ -294,6 +294,7 @@ def build(
         "heldout_takes": sorted({p.take for p in pieces if p.split == "heldout" and not p.made}),
         "left_out": report.left_out,
         "errors": report.errors,
+        "files": report.files,
     }
     infos = [
         ClipInfo(

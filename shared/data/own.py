@@ -21,7 +21,7 @@ from shared.motion.body import J, velocity
 from shared.motion.io.files import find_motion_files
 from shared.motion.io.options import ReadOptions
 from shared.motion.io.raw import LeftOutError
-from shared.motion.io.text import read_lines
+from shared.motion.io.text import decode
 
 _SYNONYMS = {
     "idle": "stand", "jog": "run", "jogging": "run", "box": "punch", "boxing": "punch", "getup": "get_up",
@@ -72,15 +72,21 @@ def own_takes(folder: Path, options: ReadOptions) -> list[Take]:
         name = re.sub(r"[+@#~]", "_", f"{source}/{stem}")
         folders = [*reversed(inner.parts[:-1]), folder.resolve().name]
         behaviour = next((b for b in map(behaviour_named, folders) if b), "") or behaviour_named(path.stem)
-        texts: tuple[str, ...] = ()
-        if path.with_suffix(".txt").is_file():
-            texts = tuple(clean(read_lines(path.with_suffix(".txt"))))
         action = _ACTIONS.get(behaviour, behaviour if behaviour in SENTENCES else "auto")
         side = "auto" if behaviour in ("turn", "step_side") else ""
         # What is told by its motion is cut like locomotion and labelled afterwards, by `seen`.
-        takes.append(Take(name, source, path, None, name, behaviour or "walk", action, side, texts, options=options,
-                          by_motion=not behaviour))  # fmt: skip
+        kind = behaviour or "walk"
+        texts = _texts(path)
+        takes.append(
+            Take(name, source, path, None, name, kind, action, side, texts, options=options, by_motion=not behaviour)
+        )
     return takes
+
+
+def _texts(path: Path) -> tuple[str, ...]:
+    """The lines of the text file beside a recording; an empty one says nothing."""
+    beside = path.with_suffix(".txt")
+    return tuple(clean(decode(beside.read_bytes()).splitlines())) if beside.is_file() else ()
 
 
 def seen(pieces: Sequence[Piece], report: Report) -> list[Piece]:
@@ -111,6 +117,7 @@ def own_pieces(takes: Sequence[Take], report: Report, progress: Callable[[str, f
     out: list[Piece] = []
     for k, take in enumerate(takes):
         progress(f"read {take.name}", k / len(takes))
+        before = len(report.left_out)
         try:
             raw = take.read()
             calibration = calibrate([raw])
@@ -128,5 +135,12 @@ def own_pieces(takes: Sequence[Take], report: Report, progress: Callable[[str, f
         cells = row(take.name, raw.fps, len(raw) / raw.fps, raw.up, raw.unit_m, raw.family, way)
         report.lines.append(f"{cells}  -> {len(pieces)} clips: {kinds}")
         report.lines += [f"warning: {take.name}: {warning}" for warning in raw.warnings]
+        dropped = report.left_out[before:]
+        report.lines += [f"warning: {piece['clip']}: left out: {piece['reason']}" for piece in dropped]
+        report.files.append(
+            {"take": take.name, "file": str(take.path), "fps": raw.fps, "seconds": round(len(raw) / raw.fps, 3),
+             "up": raw.up, "unit_m": raw.unit_m, "skeleton": raw.family, "travelled_m": round(way, 3),
+             "clips": len(pieces), "warnings": list(raw.warnings)}
+        )  # fmt: skip
         out += pieces
     return out

@@ -12,7 +12,7 @@ from typer.testing import CliRunner, Result
 from orchestrator.cli import main as cli
 from shared.data.corpus import Corpus
 from shared.data.label import Label
-from shared.data.own import behaviour_named, own_takes, seen
+from shared.data.own import behaviour_named, own_pieces, own_takes, seen
 from shared.data.pieces import Piece, Report
 from shared.data.sources import list_takes
 from shared.data.texts import BEHAVIOURS
@@ -59,6 +59,18 @@ def test_takes_of_a_plain_folder(tmp_path: Path) -> None:
     assert len({t.skeleton_key for t in takes.values()}) == len(takes)
 
 
+@pytest.mark.parametrize("behaviour", BEHAVIOURS)
+def test_a_folder_of_any_behaviour_gives_clips_with_sentences(tmp_path: Path, behaviour: str) -> None:
+    (tmp_path / behaviour).mkdir()
+    (tmp_path / behaviour / "a.bvh").write_text(plain())
+    (tmp_path / behaviour / "a.txt").write_text("")
+    report = Report()
+    pieces = own_pieces(own_takes(tmp_path / behaviour, ReadOptions()), report, lambda what, share: None)
+    assert report.errors == [] and report.lines[0].startswith(f"{behaviour}/a  30 fps")
+    assert all(len(piece.texts) >= 2 and piece.label.behaviour in BEHAVIOURS for piece in pieces)
+    assert pieces or report.lines[1].startswith(f"warning: {behaviour}/a: left out: ")
+
+
 def test_an_unlabelled_folder_is_built_by_what_the_motion_shows(tmp_path: Path) -> None:
     mine = tmp_path / "session1"
     mine.mkdir()
@@ -75,7 +87,11 @@ def test_an_unlabelled_folder_is_built_by_what_the_motion_shows(tmp_path: Path) 
     recorded = {c.take: c for c in corpus.clips if not c.made and not c.mirrored}
     assert {c.behaviour for c in recorded.values()} == {"walk"}
     assert recorded["session1/a"].texts[0] == "someone crosses the room"
-    assert json.loads((tmp_path / "r.json").read_text())["errors"] == []
+    result = json.loads((tmp_path / "r.json").read_text())
+    assert result["errors"] == []
+    assert [(f["take"], f["fps"], f["up"], f["unit_m"]) for f in result["files"]] == [
+        ("session1/a", 30.0, "y", 0.01), ("session1/b", 30.0, "y", 1.0),
+    ]  # fmt: skip
 
 
 def test_bad_files_are_reported_and_the_others_built(tmp_path: Path) -> None:
