@@ -36,6 +36,7 @@ class ServiceSettings(Settings):
         max_pending: requests under way before new ones are refused as overloaded.
         curve_dir: folder of CURVE keys (`python -m shared.protocol.keys FOLDER`), or None.
         log_level: of the process.
+        metrics_port: of loopback, where Prometheus finds the service's numbers; 0 takes a free one, None serves none.
     """
 
     endpoint: str
@@ -43,6 +44,7 @@ class ServiceSettings(Settings):
     max_pending: Annotated[int, Field(ge=1, le=10_000)] = 256
     curve_dir: Path | None = Field(default_factory=lambda: curve_dir_from_environment())
     log_level: Literal["debug", "info", "warning", "error"] = "info"
+    metrics_port: Annotated[int, Field(ge=0, le=65535)] | None = None
 
     @model_validator(mode="after")
     def _safe_to_listen(self) -> ServiceSettings:

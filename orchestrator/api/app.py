@@ -14,6 +14,7 @@ from orchestrator.api import catalogue, characters, episodes, motion, objects, p
 from orchestrator.api.deps import check_token
 from orchestrator.api.health import HealthWatch
 from orchestrator.api.hosts import HostGuard
+from orchestrator.api.metrics import OrchestratorMetrics
 from orchestrator.api.settings import OrchestratorSettings
 from orchestrator.core.manager import Orchestrator
 from orchestrator.core.scenes import Scenes
@@ -64,6 +65,7 @@ def create_app(settings: OrchestratorSettings, opened: Orchestrator | None = Non
         core = opened if opened is not None else await open_orchestrator(settings)
         app.state.orchestrator = core
         app.state.health = HealthWatch(core)
+        app.state.metrics = OrchestratorMetrics(core)
         try:
             yield
         finally:

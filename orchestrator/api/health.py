@@ -4,36 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import time
-from typing import Literal
-
-from pydantic import BaseModel
 
 from orchestrator.core.manager import Orchestrator
 from orchestrator.core.services import Slot
 from shared.errors import MotionLoopError
 from shared.protocol.control import Health, HealthReport
+from shared.protocol.rest import ServiceHealth, ServicesHealth
 
 ASK_TIMEOUT_S = 2.0
 FRESH_S = 1.0
-
-
-class ServiceHealth(BaseModel):
-    """One service: `away` when it does not answer, with the reason in `message`."""
-
-    status: Literal["ok", "degraded", "away"]
-    plugin: str
-    endpoint: str
-    latency_ms: float | None = None
-    uptime_s: float | None = None
-    detail: dict[str, float | int | str] = {}
-    message: str | None = None
-
-
-class ServicesHealth(BaseModel):
-    """Both services."""
-
-    planner: ServiceHealth
-    tracker: ServiceHealth
 
 
 async def health_of(slot: Slot) -> ServiceHealth:

@@ -8,13 +8,13 @@ from fastapi import APIRouter, Body, Request, Response
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 
 from orchestrator.api.deps import Core
-from orchestrator.api.health import HealthWatch, ServicesHealth
-from orchestrator.api.metrics import registry_of
+from orchestrator.api.health import HealthWatch
+from orchestrator.api.metrics import OrchestratorMetrics
 from orchestrator.api.models import HealthBody, SwapBody
 from orchestrator.api.problems import RESPONSES, problem_response
 from shared.errors import MotionLoopError
 from shared.protocol.control import Health, HealthReport
-from shared.protocol.rest import Problem, ServiceInfo, ServicesInfo
+from shared.protocol.rest import Problem, ServiceInfo, ServicesHealth, ServicesInfo
 
 router = APIRouter(prefix="/v1/services", tags=["services"], responses=RESPONSES)
 health_router = APIRouter(tags=["health"])
@@ -73,6 +73,7 @@ async def readyz(core: Core) -> HealthBody | Response:
 
 
 @health_router.get("/metrics", response_class=Response)
-async def metrics(core: Core) -> Response:
+async def metrics(core: Core, request: Request) -> Response:
     """Prometheus text."""
-    return Response(generate_latest(registry_of(core)), media_type=CONTENT_TYPE_LATEST)
+    counted: OrchestratorMetrics = request.app.state.metrics
+    return Response(generate_latest(counted.registry), media_type=CONTENT_TYPE_LATEST)

@@ -14,6 +14,7 @@ from orchestrator.cli.common import Token, client, console, for_people
 from orchestrator.cli.data import data_build, data_import
 from orchestrator.cli.delegate import PASS_THROUGH, need, run_module, say_what_is_missing
 from orchestrator.cli.talk import episode, export, say, swap, watch
+from orchestrator.cli.top import top
 from shared.console import errors_for_people
 
 INTERRUPTED = 130
@@ -45,7 +46,7 @@ NEEDED = {
     "orchestrator": ("uvicorn",),
     "all": ("uvicorn", "mujoco", "scipy"),
 }
-LIGHT = ("say", "episode", "swap", "export", "watch", "conformance", "serve", "demo", "train")
+LIGHT = ("say", "episode", "swap", "export", "watch", "top", "conformance", "serve", "demo", "train")
 """Commands that need nothing of `eval`, `bench` and `data bank`."""
 
 
@@ -101,7 +102,7 @@ def demo(
         raise typer.Exit(0 if play_demo(http, out, seed, pacing, console, video) else 1)
 
 
-for _command in (say, episode, swap, export, watch):
+for _command in (say, episode, swap, export, watch, top):
     app.command()(_command)
 
 

@@ -22,7 +22,7 @@ from orchestrator.client.models import CharacterInfo, CommandTaken, EpisodeInfo,
 from orchestrator.client.motion import Motion
 from orchestrator.client.sync import QUIET_S
 from shared.errors import ConflictError, DeadlineError, MotionLoopError
-from shared.protocol.rest import Event, ServiceInfo, ServicesInfo
+from shared.protocol.rest import Event, ServiceInfo, ServicesHealth, ServicesInfo
 
 T = TypeVar("T")
 
@@ -79,6 +79,10 @@ class AsyncClient:
     ) -> ServiceInfo:
         """Exchange the planner or the tracker while everything goes on."""
         return await self.do(calls.swap(kind, plugin, endpoint))
+
+    async def health(self) -> ServicesHealth:
+        """How planner and tracker are: times, counts, or why one is away."""
+        return await self.do(calls.health())
 
     async def ready(self) -> bool:
         """Whether the server and both services answer."""

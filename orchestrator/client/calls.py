@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 from orchestrator.client.models import CharacterInfo, CommandTaken, EpisodeInfo, State
 from orchestrator.client.motion import Motion
 from shared.errors import InvalidInputError, MalformedMessageError
-from shared.protocol.rest import ServiceInfo, ServicesInfo, StateFields
+from shared.protocol.rest import ServiceInfo, ServicesHealth, ServicesInfo, StateFields
 from shared.protocol.security import is_loopback
 
 T = TypeVar("T")
@@ -251,6 +251,11 @@ def services() -> Call[ServicesInfo]:
 def swap(kind: ServiceKind, plugin: str | None, endpoint: str | None) -> Call[ServiceInfo]:
     """Exchange one."""
     return Call("PUT", f"/v1/services/{kind}", _model(ServiceInfo), {"plugin": plugin, "endpoint": endpoint})
+
+
+def health() -> Call[ServicesHealth]:
+    """How planner and tracker are."""
+    return Call("GET", "/v1/services/health", _model(ServicesHealth))
 
 
 def ready() -> Call[None]:

@@ -20,7 +20,7 @@ from orchestrator.client.errors import ServerProblem, no_connection, problem_of,
 from orchestrator.client.models import CharacterInfo, CommandTaken, EpisodeInfo, PlanGhost, State, event_of, message_of
 from orchestrator.client.motion import Motion
 from shared.errors import ConflictError, DeadlineError, MotionLoopError
-from shared.protocol.rest import Event, ServiceInfo, ServicesInfo
+from shared.protocol.rest import Event, ServiceInfo, ServicesHealth, ServicesInfo
 
 T = TypeVar("T")
 QUIET_S = 120.0
@@ -84,6 +84,10 @@ class Client:
     def swap(self, kind: calls.ServiceKind, plugin: str | None = None, *, endpoint: str | None = None) -> ServiceInfo:
         """Exchange the planner or the tracker while everything goes on: another plug-in, another service, or both."""
         return self.do(calls.swap(kind, plugin, endpoint))
+
+    def health(self) -> ServicesHealth:
+        """How planner and tracker are: times, counts, or why one is away."""
+        return self.do(calls.health())
 
     def ready(self) -> bool:
         """Whether the server and both services answer."""

@@ -6,7 +6,6 @@ import asyncio
 import logging
 import uuid
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -64,6 +63,8 @@ class Orchestrator:
         self.episodes: dict[str, LiveEpisode] = {}
         self._max_running = max_running
         self._curve = curve
+        self.observers: list[Callable[[Event], None]] = []
+        """Called with every event of every character and episode; they must not block."""
         self._retired: list[Slot] = []
         self._video_lock = asyncio.Lock()
 
@@ -224,7 +225,12 @@ class Orchestrator:
     # --- inside ---
 
     def _sink(self, owner: str) -> Callable[[Event], None]:
-        return partial(self.store.event, owner)
+        def take(event: Event) -> None:
+            for observe in self.observers:
+                observe(event)
+            self.store.event(owner, event)
+
+        return take
 
     def _check_room(self) -> None:
         running = len(self.characters) + sum(1 for e in self.episodes.values() if e.outcome is None)

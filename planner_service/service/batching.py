@@ -9,6 +9,7 @@ import time
 from concurrent.futures import Future
 from dataclasses import dataclass
 
+from planner_service.service.metrics import PlannerMetrics
 from shared.errors import DeadlineError, MotionLoopError, UnavailableError
 from shared.plugins.checks import check_plan, ignored_conditions
 from shared.plugins.interfaces import Planner
@@ -33,12 +34,14 @@ class Batcher:
         planner: used by this thread only.
         max_batch: requests planned together.
         max_wait_s: how long the first of a batch waits for others.
+        metrics: told of every batch.
     """
 
-    def __init__(self, planner: Planner, max_batch: int, max_wait_s: float):
+    def __init__(self, planner: Planner, max_batch: int, max_wait_s: float, metrics: PlannerMetrics):
         self._planner = planner
         self._max_batch = max_batch
         self._max_wait_s = max_wait_s
+        self._metrics = metrics
         self._queue: queue.SimpleQueue[_Waiting | None] = queue.SimpleQueue()
         self._closed = False
         self.plans_made = 0
@@ -68,6 +71,7 @@ class Batcher:
             for item in batch:
                 if item.deadline_unix_s is not None and now > item.deadline_unix_s:
                     item.future.set_exception(DeadlineError("the request expired while it waited for the planner"))
+                    self._metrics.expired(self._planner.spec.name)
                 else:
                     fresh.append(item)
             if fresh:
@@ -101,6 +105,8 @@ class Batcher:
         outcomes: list[Plan | MotionLoopError] = list(self._plan_all(requests))
         wall_ms = (time.monotonic() - started) * 1e3
         self.batches_made += 1
+        waited_s = [started - item.since for item in batch]
+        self._metrics.planned(self._planner.spec.name, wall_ms / 1e3, waited_s, outcomes)
         for item, outcome in zip(batch, outcomes, strict=True):
             if isinstance(outcome, MotionLoopError):
                 item.future.set_exception(outcome)

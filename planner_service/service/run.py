@@ -30,6 +30,8 @@ def run(arguments: Sequence[str]) -> int:
         hint = f" (allowed: {error.allowed})" if error.allowed else ""
         print(f"planner service cannot start: {error.field or 'error'}: {error.message}{hint}", file=sys.stderr)
         return 2
+    if service.metrics.endpoint.url is not None:
+        print(f"planner metrics at {service.metrics.endpoint.url}", flush=True)
     print(f"planner ready at {service.endpoint} with {', '.join(service.plugins)}", flush=True)
     while not stop.wait(1.0):
         continue

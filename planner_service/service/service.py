@@ -10,6 +10,7 @@ from typing import Any
 import zmq
 
 from planner_service.service.batching import Batcher
+from planner_service.service.metrics import PlannerMetrics
 from planner_service.service.plugins import planner_registry
 from planner_service.service.settings import PlannerSettings
 from shared.errors import InvalidInputError, UnavailableError
@@ -63,6 +64,7 @@ class PlannerService:
             context=context,
             curve=settings.curve_keys(),
         )
+        self.metrics = PlannerMetrics(lambda: self._server.pending)
 
     @property
     def endpoint(self) -> str:
@@ -79,9 +81,10 @@ class PlannerService:
         self._planners = self._registry.load_all()
         self._default = self._choose_default()
         self._batchers = {
-            name: Batcher(planner, self._settings.max_batch, self._settings.max_wait_ms / 1e3)
+            name: Batcher(planner, self._settings.max_batch, self._settings.max_wait_ms / 1e3, self.metrics)
             for name, planner in self._planners.items()
         }
+        self.metrics.endpoint.start(self._settings.metrics_port)
         self._server.start()
         return self
 
@@ -91,6 +94,7 @@ class PlannerService:
             batcher.close()
         self._batchers = {}
         self._server.stop()
+        self.metrics.endpoint.close()
 
     def __enter__(self) -> PlannerService:
         return self.start()
@@ -143,6 +147,7 @@ class PlannerService:
     def _health(self, envelope: Envelope, message: Health) -> HealthReport:
         batchers = dict(self._batchers)
         detail: dict[str, float | int | str] = {"default": self._default, "pending": self._server.pending}
+        detail |= self.metrics.detail()
         for name, batcher in batchers.items():
             detail[f"{name}.plans"] = batcher.plans_made
             detail[f"{name}.batches"] = batcher.batches_made

@@ -6,7 +6,7 @@ newer server does not break an older client.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
 
@@ -173,6 +173,25 @@ class ServicesInfo(Body):
 
     planner: ServiceInfo
     tracker: ServiceInfo
+
+
+class ServiceHealth(Body):
+    """One service: `away` when it does not answer, with the reason in `message`."""
+
+    status: Literal["ok", "degraded", "away"]
+    plugin: str
+    endpoint: str
+    latency_ms: float | None = None
+    uptime_s: float | None = None
+    detail: dict[str, float | int | str] = {}
+    message: str | None = None
+
+
+class ServicesHealth(Body):
+    """Both services."""
+
+    planner: ServiceHealth
+    tracker: ServiceHealth
 
 
 class InvalidField(Body):

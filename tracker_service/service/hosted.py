@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -68,6 +69,7 @@ class HostedCharacter:
         seed: of the character; kept with its snapshots.
         settings: limits for plans.
         dump_dir: where a failed state is written for replay.
+        on_tick: told how many seconds each tick took to compute.
     """
 
     def __init__(
@@ -79,6 +81,7 @@ class HostedCharacter:
         seed: int,
         settings: TrackerServiceSettings,
         dump_dir: Path,
+        on_tick: Callable[[float], None],
     ):
         self.character_id = character_id
         self.clock = Clock(pacing)
@@ -90,6 +93,7 @@ class HostedCharacter:
         self._recorder = recorder
         self._settings = settings
         self._dump_dir = dump_dir
+        self._on_tick = on_tick
         self._log(simulation.sample())
         self._last_good = simulation.snapshot()
 
@@ -119,7 +123,9 @@ class HostedCharacter:
             self._check_open()
             for _ in range(ticks):
                 try:
+                    began_s = time.perf_counter()
                     self._log(self._simulation.step(1))
+                    self._on_tick(time.perf_counter() - began_s)
                 except SimulationError as error:
                     self._fail(error.message)
                     break

@@ -42,6 +42,8 @@ def serve(settings: TrackerServiceSettings) -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: ended.set())
     with TrackerService(settings) as service:
+        if service.metrics.endpoint.url is not None:
+            print(f"tracker_service metrics at {service.metrics.endpoint.url}", flush=True)
         print(f"tracker_service ready endpoint={service.endpoint} state={service.state_endpoint}", flush=True)
         ended.wait()
     print("tracker_service ended", flush=True)

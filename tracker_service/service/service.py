@@ -50,6 +50,7 @@ from tracker_service.rendering.render import VideoRenderer
 from tracker_service.rendering.video_job import VideoJob
 from tracker_service.service.hosted import HostedCharacter
 from tracker_service.service.log_tail import check_format
+from tracker_service.service.metrics import TrackerMetrics
 from tracker_service.service.realtime import RealtimeClock
 from tracker_service.service.settings import TrackerServiceSettings, dump_folder
 from tracker_service.service.trackers import TrackerCatalogue, builtin_trackers
@@ -125,6 +126,7 @@ class TrackerService:
             context=context,
             curve=settings.curve_keys(),
         )
+        self.metrics = TrackerMetrics(lambda: len(self._characters), lambda: self._server.pending)
 
     def start(self) -> TrackerService:
         """Bind both sockets and serve; `endpoint` and `state_endpoint` then hold the resolved ports."""
@@ -134,6 +136,7 @@ class TrackerService:
         self._publisher = StatePublisher(
             self.settings.state_endpoint, context=self._context, curve=self.settings.curve_keys()
         )
+        self.metrics.endpoint.start(self.settings.metrics_port)
         self._clock.start()
         self._server.start()
         return self
@@ -149,6 +152,7 @@ class TrackerService:
         self._server.stop()
         if self._publisher is not None:
             self._publisher.close()
+        self.metrics.endpoint.close()
         for character in self._characters.values():
             character.close()
         if self._temporary is not None:
@@ -205,6 +209,7 @@ class TrackerService:
                 "pending": self._server.pending,
                 "recording_bytes_in_memory": sum(c.recorder.memory_bytes for c in characters),
                 "failed_spills": failures,
+                **self.metrics.detail(),
             },
         )
 
@@ -244,7 +249,14 @@ class TrackerService:
         simulation = self._worlds.simulation(character, scene, tracker, character_id, xy_w_m, heading_rad)
         recorder = Recorder(folder, self.settings.chunk_samples, self.settings.memory_chunks)
         return HostedCharacter(
-            character_id, simulation, recorder, pacing, seed, self.settings, dump_folder(self.settings)
+            character_id,
+            simulation,
+            recorder,
+            pacing,
+            seed,
+            self.settings,
+            dump_folder(self.settings),
+            self.metrics.ticked,
         )
 
     def _spool_folder(self) -> Path:
@@ -273,6 +285,7 @@ class TrackerService:
         with self._lock:
             self._characters.pop(hosted.character_id, None)
         hosted.close()
+        self.metrics.closed(hosted.character_id)
         return Ok()
 
     def _set_scene(self, envelope: Envelope, message: SetScene) -> StateFrame:
@@ -369,6 +382,7 @@ class TrackerService:
         return frame
 
     def _publish(self, frame: StateFrame) -> None:
+        self.metrics.framed(frame)
         if self._publisher is not None:
             self._publisher.publish(frame)
 
