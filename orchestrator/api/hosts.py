@@ -8,6 +8,7 @@ then of the same origin. What gives it away is the name that it asks for.
 from __future__ import annotations
 
 from collections.abc import Collection
+from ipaddress import ip_address
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
@@ -29,6 +30,15 @@ def host_of(header: str) -> str:
         return ""
 
 
+def _over_ip(scope: Scope) -> bool:
+    """Whether a request came to an IP address: no name can be made to point at a Unix socket, or into this process."""
+    try:
+        ip_address((scope.get("server") or ("",))[0])
+    except ValueError:
+        return False
+    return True
+
+
 class HostGuard:
     """ASGI middleware that turns away requests for other hosts than loopback and `allowed`.
 
@@ -42,7 +52,7 @@ class HostGuard:
         self._allowed = frozenset(name.lower().rstrip(".") for name in allowed)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] not in ("http", "websocket"):
+        if scope["type"] not in ("http", "websocket") or not _over_ip(scope):
             await self._app(scope, receive, send)
             return
         host = host_of(Headers(scope=scope).get("host", ""))

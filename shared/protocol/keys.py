@@ -22,9 +22,7 @@ def main() -> None:
     create_curve_keys(folder)
     if other is not None:
         move_client_keys(folder, other)
-    print(
-        f"keys for services (server) are in {folder}, for clients in {other or folder}; keep *.key_secret to yourself"
-    )
+    print(f"keys for services are in {folder}, for clients in {other or folder}; keep *.key_secret to yourself")
 
 
 if __name__ == "__main__":

@@ -23,7 +23,8 @@ COMPOSE = Path(__file__).resolve().parents[2] / "docker-compose.yml"
     ("header", "host"),
     [
         ("127.0.0.1:8080", "127.0.0.1"), ("LocalHost:80", "localhost"), ("[::1]:8080", "::1"),
-        ("evil.example.", "evil.example"), ("", ""), ("127.0.0.1.evil.example", "127.0.0.1.evil.example"), ("[", ""), ("user@127.0.0.1", "127.0.0.1"),
+        ("evil.example.", "evil.example"), ("", ""), ("127.0.0.1.evil.example", "127.0.0.1.evil.example"), ("[", ""),
+        ("user@127.0.0.1", "127.0.0.1"),
     ],
 )  # fmt: skip
 def test_the_name_in_a_host_header(header: str, host: str) -> None:
