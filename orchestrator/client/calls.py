@@ -52,8 +52,9 @@ class CommandOptions(TypedDict, total=False):
 
     target: where `joint` should go, metres in the world: (x, y, z), or (x, y) for `traj`, the root on the floor.
     heading_rad: which way to face, 0 along +X, anticlockwise. velocity_mps: (x, y). keyframes: poses to pass through,
-    `{"in_s": 1.0, "positions_m": {"right_wrist": (x, y, z)}}`. avoid: spheres to keep away from,
-    `{"position_m": (x, y, z), "velocity_mps": (x, y, z), "radius_m": r}`. guidance: how strongly the text counts.
+    `{"in_s": 1.0, "positions_m": {"right_wrist": (x, y, z)}, "rotations_wxyz": {"head": (w, x, y, z)}}`.
+    avoid: spheres to keep away from, `{"position_m": (x, y, z), "velocity_mps": (x, y, z), "radius_m": r}`.
+    guidance: how strongly the text counts.
     replan: `now` plans at once, `next` with the next regular plan.
     """
 

@@ -6,9 +6,10 @@ from math import atan2, hypot
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator, model_validator
 
 from shared.errors import InvalidInputError
+from shared.motion.rotations import matrix_from_quat, matrix_to_6d
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import TICK_HZ, HeadingTarget, JointTarget
 from shared.tasks.approach import TRAJ, Approach
@@ -21,6 +22,7 @@ JOINTS = (*CANONICAL.names, TRAJ)
 HEADING_S = 1.5
 VELOCITY_AHEAD_S = 1.0
 MAX_SPEED_MPS = 8.0
+Part = Annotated[FiniteFloat, Field(ge=-1, le=1)]
 Speed = Annotated[FiniteFloat, Field(ge=-MAX_SPEED_MPS, le=MAX_SPEED_MPS)]
 
 
@@ -44,18 +46,35 @@ class Target(_Model):
 
 
 class Keyframe(_Model):
-    """Joints that should be at places `in_s` seconds after the command."""
+    """Joints that should be at places, or turned against their parents (the pelvis: in the world), `in_s` seconds after
+    the command."""
 
     in_s: Annotated[FiniteFloat, Field(ge=0, le=10)]
-    positions_m: Annotated[dict[str, tuple[Coordinate, Coordinate, Coordinate]], Field(min_length=1)]
+    positions_m: dict[str, tuple[Coordinate, Coordinate, Coordinate]] = {}
+    rotations_wxyz: dict[str, tuple[Part, Part, Part, Part]] = {}
 
-    @field_validator("positions_m")
+    @field_validator("positions_m", "rotations_wxyz")
     @classmethod
-    def _joints(cls, value: dict[str, tuple[float, float, float]]) -> dict[str, tuple[float, float, float]]:
-        for joint in value:
+    def _joints(cls, value: dict[str, tuple[float, ...]]) -> dict[str, tuple[float, ...]]:
+        for joint, numbers in value.items():
             if joint not in CANONICAL.names:
                 raise ValueError(f"unknown joint {joint!r}; allowed: {', '.join(CANONICAL.names)}")
+            if len(numbers) == 4 and not any(numbers):
+                raise ValueError(f"{joint} has no rotation; allowed: a quaternion w, x, y, z")
         return value
+
+    @model_validator(mode="after")
+    def _says_something(self) -> Keyframe:
+        if not self.positions_m and not self.rotations_wxyz:
+            raise ValueError("a keyframe without joints; allowed: positions_m, rotations_wxyz or both")
+        return self
+
+    def rotations_6d(self) -> dict[str, tuple[float, ...]]:
+        """Its rotations as a PlanGoal has them."""
+        return {
+            joint: tuple(float(v) for v in matrix_to_6d(matrix_from_quat(quat)))
+            for joint, quat in self.rotations_wxyz.items()
+        }
 
 
 class Avoid(_Model):
@@ -138,15 +157,8 @@ class CommandGoal:
         if command.heading_rad is not None:
             arrival = max(self._issued_tick + round(HEADING_S * TICK_HZ), plan_tick + TICK_HZ // 2)
             heading = HeadingTarget(heading_rad=command.heading_rad, arrival_tick=arrival)
-        frames = [
-            (
-                self._issued_tick + round(frame.in_s * TICK_HZ),
-                tuple(frame.positions_m),
-                tuple(frame.positions_m.values()),
-            )
-            for frame in command.keyframes
-        ]
-        frames = [frame for frame in frames if frame[0] > plan_tick]
+        due = [(self._issued_tick + round(frame.in_s * TICK_HZ), frame) for frame in command.keyframes]
+        due = [(tick, frame) for tick, frame in due if tick > plan_tick]
         return PlanGoal(
             text=base.text,
             targets=targets,
@@ -154,9 +166,10 @@ class CommandGoal:
             desired_velocity_w_mps=velocity,
             facing_rad=command.heading_rad if velocity is not None else None,
             obstacles=tuple(sphere.at((plan_tick - self._issued_tick) / TICK_HZ) for sphere in command.avoid),
-            keyframe_ticks=tuple(tick for tick, _, _ in frames),
-            keyframe_joints=tuple(joints for _, joints, _ in frames),
-            keyframe_positions_w_m=tuple(places for _, _, places in frames),
+            keyframe_ticks=tuple(tick for tick, _ in due),
+            keyframe_joints=tuple(tuple(frame.positions_m) for _, frame in due),
+            keyframe_positions_w_m=tuple(tuple(frame.positions_m.values()) for _, frame in due),
+            keyframe_rotations_6d=tuple(frame.rotations_6d() for _, frame in due),
             guidance=command.guidance,
         )
 

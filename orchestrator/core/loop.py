@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from orchestrator.core.asking import keyframe_arrays, obstacle_arrays
 from orchestrator.core.services import Reply, Services, Slot
 from orchestrator.core.settings import LoopSettings
 from orchestrator.core.stitch import PlanBuffer, build_prefix, log_window, since
@@ -355,29 +356,3 @@ class CharacterLoop:
         """Frames to ask for: as long as the settings say, and at most what the planner can."""
         wanted = round(self.settings.horizon_frames * spec.fps / PLANNER_FPS)
         return min(max(wanted, LEAST_PLAN_FRAMES), spec.plan_frames)
-
-
-def keyframe_arrays(goal: PlanGoal) -> dict[str, np.ndarray]:
-    """Keyframes of a goal as the arrays of a PlanRequest; empty when there are none."""
-    if not goal.keyframe_ticks:
-        return {}
-    count = len(goal.keyframe_ticks)
-    mask = np.zeros((count, len(CANONICAL)), "|u1")
-    positions = np.zeros((count, len(CANONICAL), 3), "<f4")
-    for k, (names, places) in enumerate(zip(goal.keyframe_joints, goal.keyframe_positions_w_m, strict=True)):
-        for name, place in zip(names, places, strict=True):
-            mask[k, CANONICAL.index(name)] = 1
-            positions[k, CANONICAL.index(name)] = place
-    ticks = np.array(goal.keyframe_ticks, "<i8")
-    return {"keyframe_ticks": ticks, "keyframe_mask": mask, "keyframe_positions_w_m": positions}
-
-
-def obstacle_arrays(goal: PlanGoal) -> dict[str, np.ndarray]:
-    """Obstacles of a goal as the arrays of a PlanRequest; empty when there are none."""
-    if not goal.obstacles:
-        return {}
-    return {
-        "obstacle_pos_w_m": np.array([each.position_w_m for each in goal.obstacles], "<f4"),
-        "obstacle_linvel_w_mps": np.array([each.velocity_w_mps for each in goal.obstacles], "<f4"),
-        "obstacle_radius_m": np.array([each.radius_m for each in goal.obstacles], "<f4"),
-    }

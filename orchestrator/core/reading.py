@@ -39,7 +39,9 @@ def ignored_conditions(command: Command, spec: PlannerSpec) -> list[str]:
         "target": command.target is not None,
         "heading": command.heading_rad is not None,
         "velocity": command.velocity_mps is not None and not by_target,
-        "keyframes": bool(command.keyframes),
+        "facing": command.velocity_mps is not None and command.heading_rad is not None,
+        "keyframes": any(frame.positions_m for frame in command.keyframes),
+        "keyframe_rotations": any(frame.rotations_wxyz for frame in command.keyframes),
         "obstacles": bool(command.avoid),
     }
     return [name for name, given in asked.items() if given and name not in spec.conditions]

@@ -74,6 +74,8 @@ class PlanGoal:
     Attributes:
         facing_rad: which way to face all along; `heading` holds at a tick.
         obstacles: what to keep away from.
+        keyframe_ticks: K poses to pass through; keyframe_joints, keyframe_positions_w_m: which joints at which places;
+            keyframe_rotations_6d: K or none, rotations of joints against their parents, the pelvis' in the world.
         guidance: on the text; None leaves it to the loop's settings, and those to the planner: the one rule there is.
             What was used stands in the plan.
         may_be_low: being low is asked for and is no fall; None: as the text says.
@@ -88,6 +90,7 @@ class PlanGoal:
     keyframe_ticks: tuple[int, ...] = ()
     keyframe_joints: tuple[tuple[str, ...], ...] = ()
     keyframe_positions_w_m: tuple[tuple[tuple[float, float, float], ...], ...] = ()
+    keyframe_rotations_6d: tuple[Mapping[str, tuple[float, ...]], ...] = ()
     guidance: float | None = None
     may_be_low: bool | None = None
 

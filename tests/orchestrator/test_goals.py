@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import uuid
-from math import pi
+from math import cos, pi, sin
 
 import numpy as np
 import pytest
 
 from orchestrator.client import Client
-from orchestrator.core.command import Avoid, Command, CommandGoal, Target
+from orchestrator.core.asking import keyframe_arrays
+from orchestrator.core.command import Avoid, Command, CommandGoal, Keyframe, Target
 from orchestrator.core.drivers import LockstepDriver
 from orchestrator.core.loop import CharacterLoop
 from orchestrator.core.services import Services, connect
@@ -119,6 +120,28 @@ def test_facing_holds_all_along_where_the_way_goes_elsewhere_and_spheres_move_on
     turn = CommandGoal(Command(heading_rad=1.0), 0)(standing(), 0)
     assert turn.facing_rad is None
     assert turn.heading is not None
+
+
+def test_keyframes_count_down_and_hold_joints_by_place_and_by_rotation() -> None:
+    quarter = (cos(pi / 4), 0.0, 0.0, sin(pi / 4))
+    frames = [
+        Keyframe(in_s=0.5, positions_m={"head": (0.0, 0.0, 1.4)}),
+        Keyframe(in_s=2.0, positions_m={"left_wrist": (0.3, 0.2, 1.0)}, rotations_wxyz={"pelvis": quarter}),
+    ]
+    source = CommandGoal(Command(keyframes=frames), 30)
+    both = keyframe_arrays(source(standing(30), 30))
+    np.testing.assert_array_equal(both["keyframe_ticks"], [45, 90])
+    later = keyframe_arrays(source(standing(60), 60))
+    np.testing.assert_array_equal(later["keyframe_ticks"], [90])
+    wrist, pelvis = CANONICAL.index("left_wrist"), CANONICAL.index("pelvis")
+    assert (later["keyframe_mask"].sum(), later["keyframe_mask"][0, wrist]) == (1, 1)
+    np.testing.assert_allclose(later["keyframe_positions_w_m"][0, wrist], [0.3, 0.2, 1.0])
+    assert (later["keyframe_rotation_mask"].sum(), later["keyframe_rotation_mask"][0, pelvis]) == (1, 1)
+    # A quarter turn about Z: the first two columns are Y and -X.
+    np.testing.assert_allclose(later["keyframe_rotations_6d"][0, pelvis], [0, 1, 0, -1, 0, 0], atol=1e-7)
+    for wrong in ({"in_s": 1.0}, {"in_s": 1.0, "rotations_wxyz": {"tail": quarter}}):
+        with pytest.raises(ValueError, match="allowed"):
+            Keyframe.model_validate(wrong)
 
 
 @pytest.mark.parametrize(
