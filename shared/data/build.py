@@ -263,7 +263,10 @@ def build(
         folder = unpacked(Path(mocap_dir), stack)
         progress("hash", 0.0)
         digest = hash_inputs(folder)
-        takes, own = list_takes(folder), own_takes(folder, options or ReadOptions())
+        takes = list_takes(folder)
+        # Loose recordings may lie beside the archives.
+        places = dict.fromkeys((folder, Path(mocap_dir)))
+        own = [take for place in places for take in own_takes(place, options or ReadOptions())]
         if not takes and not own:
             raise InvalidInputError(f"no BVH, AMC or npz below {mocap_dir}", field="mocap_dir")
         pieces = recorded_pieces(takes, report, progress) + own_pieces(own, report, progress)

@@ -425,6 +425,20 @@ def test_the_plain_file_needs_no_warning(tmp_path: Path) -> None:
     assert read_motion(tmp_path / "walk.bvh").warnings == ()
 
 
+@pytest.mark.parametrize("heading", [0, 90, 200])
+def test_a_walk_whose_root_begins_at_the_origin_stands(tmp_path: Path, walk: Array, heading: float) -> None:
+    """The root's rotation takes the Y-up zero pose to a Z-up world; no height says where the floor is."""
+    turn = Rotation.from_euler("z", heading, degrees=True).as_matrix() @ Z_UP
+    lines = Spelling(turn=turn, rest=np.eye(3)).text().splitlines()
+    at = next(i for i, line in enumerate(lines) if line.startswith("Frame Time")) + 1
+    for i in range(at, len(lines)):
+        x, y, z, *rest = lines[i].split()
+        lines[i] = " ".join([x, y, f"{float(z) - 91.5:.5f}", *rest])
+    (tmp_path / "walk.bvh").write_text("\n".join(lines))
+    clip, _ = load_clip(tmp_path / "walk.bvh")
+    np.testing.assert_allclose(clip.positions_w_m, walk, atol=SAME_M)
+
+
 def test_a_body_that_lies_does_not_turn_the_world(tmp_path: Path) -> None:
     """The root's rotation lays a body on its back throughout; the zero pose says which way is up."""
     spelling = Spelling(turn=Rotation.from_euler("x", 90, degrees=True).as_matrix(), rest=np.eye(3))

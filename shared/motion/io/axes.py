@@ -96,7 +96,8 @@ def find_up(rest: Array, positions: Array, marks: Mapping[str, int], above: Arra
     """The vertical of a motion: by its zero pose, and where that says nothing by how the body is held.
 
     Where the zero pose stands along one axis and the person along another throughout, the root's rotation may be
-    what takes one world into the other, or the person may lie: the floor decides, which is flat under a walk.
+    what takes one world into the other, or the person may lie: the floor decides, which is flat under a walk and at
+    zero under many, and the way that is gone.
 
     Args:
         rest: (J, 3) the zero pose. positions: (T, J, 3) the motion.
@@ -114,7 +115,10 @@ def find_up(rest: Array, positions: Array, marks: Mapping[str, int], above: Arra
     leg = float(np.percentile(np.linalg.norm(hip, axis=-1), 90))
     low = {axis: (body @ _vector(axis)).min(axis=1) / max(leg, 1e-9) for axis in (held, through)}
     flat = {axis: float(np.ptp(np.percentile(h, [5, 95]))) < _FLAT for axis, h in low.items()}
-    if flat[held] and (not flat[through] or abs(float(np.median(low[held]))) < _FLAT):
+    # Whoever goes a way at a right angle to the body does not lie; a crawl goes along it.
+    goes = float(np.ptp(positions[:, marks["left_hip"]], axis=0)[np.arange(3) != "xyz".index(held[-1])].max())
+    stands = not flat[through] or abs(float(np.median(low[held]))) < _FLAT or goes > leg
+    if flat[held] and stands:
         return Up(held, in_rest, _weighed(through, held, held))
     return Up(through, in_rest, _weighed(through, held, through))
 
