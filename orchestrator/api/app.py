@@ -19,7 +19,7 @@ from orchestrator.api.settings import OrchestratorSettings
 from orchestrator.core.manager import Orchestrator
 from orchestrator.core.scenes import Scenes
 from orchestrator.core.services import Services, Slot, connect
-from orchestrator.store.database import Store
+from orchestrator.store.database import SqliteStore
 from shared.errors import UnavailableError
 from shared.protocol.security import CurveKeys, load_curve_keys
 from shared.protocol.transport import Kind
@@ -51,7 +51,7 @@ async def open_orchestrator(settings: OrchestratorSettings) -> Orchestrator:
     except BaseException:
         await planner.client.close()
         raise
-    store = await asyncio.to_thread(Store, settings.data_dir)
+    store = await asyncio.to_thread(SqliteStore, settings.data_dir)
     core = Orchestrator(Services(planner, tracker, Scenes(settings.scenes)), store, settings.max_running, curve)
     await asyncio.to_thread(core.recover)
     return core

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator
 from typing import Annotated, Any, Literal
 
@@ -66,14 +65,14 @@ async def list_all(
     offset: Annotated[int, Query(ge=0, le=1_000_000)] = 0,
 ) -> EpisodeList:
     """Episodes, newest first."""
-    rows, total = await asyncio.to_thread(core.store.episodes, status, limit, offset)
+    rows, total = await core.reader.episodes(status, limit, offset)
     return EpisodeList(items=[_body(core, row) for row in rows], total=total, limit=limit, offset=offset)
 
 
 @router.get("/{episode_id}")
 async def get(core: Core, episode_id: EpisodeId) -> EpisodeBody:
     """One episode."""
-    return _body(core, await asyncio.to_thread(core.store.episode, str(episode_id)))
+    return _body(core, await core.reader.episode(str(episode_id)))
 
 
 @router.delete("/{episode_id}")
@@ -85,14 +84,14 @@ async def delete(core: Core, episode_id: EpisodeId) -> dict[str, str]:
 @router.get("/{episode_id}/events", response_class=StreamingResponse)
 async def events(core: Core, episode_id: EpisodeId, since: Annotated[int, Query(ge=0)] = 0) -> StreamingResponse:
     """Server-sent events: those so far, then new ones until the episode ends."""
-    await asyncio.to_thread(core.store.episode, str(episode_id))
+    await core.reader.episode(str(episode_id))
     return StreamingResponse(_sse(core, str(episode_id), since), media_type="text/event-stream")
 
 
 async def _sse(core: Orchestrator, episode_id: str, since: int) -> AsyncIterator[str]:
     live = core.live_episode(episode_id)
     if live is None:
-        for event in await asyncio.to_thread(core.store.events, episode_id, since):
+        for event in await core.reader.events(episode_id, since):
             yield f"id: {event.seq}\nevent: {event.type}\ndata: {event.model_dump_json()}\n\n"
         return
     async for event in live.runner.events.listen(since):

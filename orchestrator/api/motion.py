@@ -29,7 +29,7 @@ UntilTick = Annotated[int | None, Query(ge=0, description="the last tick (30 Hz)
 async def episode_motion(core: Core, episode_id: EpisodeId, suffix: Format, unit: BvhUnit = "m") -> Response:
     """The recorded motion at 30 Hz."""
     key = str(episode_id)
-    row = await asyncio.to_thread(core.store.episode, key)
+    row = await core.reader.episode(key)
     if row["status"] == "running":
         raise ConflictError("the episode is still running", field="id")
     recording = await asyncio.to_thread(core.files.load, key)

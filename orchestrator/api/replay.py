@@ -32,7 +32,7 @@ async def episode_frames(core: Core, episode_id: EpisodeId) -> Response:
     (T, 22, 4), reference_m (T or 0, 22, 3), object_poses (T, O, 7), tracking_error_m (T,), fallen (T,).
     """
     key = str(episode_id)
-    row = await asyncio.to_thread(core.store.episode, key)
+    row = await core.reader.episode(key)
     if row["status"] == "running":
         raise ConflictError("the episode is still running", field="id")
     recording = await asyncio.to_thread(core.files.load, key)

@@ -17,7 +17,7 @@ from orchestrator.core.events import EventLog
 from orchestrator.core.fanout import Fanout
 from orchestrator.core.services import Services, Slot
 from orchestrator.core.swap import check_spec, swap
-from orchestrator.store.database import Store
+from orchestrator.store.interface import Store, StoreReader
 from orchestrator.store.recordings import Recording, RecordingFiles, write_atomically
 from shared.errors import ConflictError, InvalidInputError, MotionLoopError, NotFoundError, OverloadedError
 from shared.protocol.control import Ok
@@ -58,6 +58,7 @@ class Orchestrator:
     def __init__(self, services: Services, store: Store, max_running: int = 64, curve: CurveKeys | None = None):
         self.services = services
         self.store = store
+        self.reader = StoreReader(store)
         self.files = RecordingFiles(store.recordings)
         self.characters: dict[str, CharacterSession] = {}
         self.episodes: dict[str, LiveEpisode] = {}
@@ -92,7 +93,7 @@ class Orchestrator:
         for slot in self._retired:
             await slot.client.close()
         await self.services.close()
-        await asyncio.to_thread(self.store.close)
+        await self.reader.close()
 
     # --- characters ---
 
@@ -151,11 +152,11 @@ class Orchestrator:
         if live is not None and live.outcome is None:
             live.runner.cancel()
             return "cancelled"
-        self.store.episode(episode_id)
+        await self.reader.episode(episode_id)
         if live is not None:
             await self._let_go(episode_id)
         self.store.delete_episode(episode_id)
-        self.files.delete(episode_id)
+        await asyncio.to_thread(self.files.delete, episode_id)
         return "deleted"
 
     async def video(self, episode_id: str) -> bytes:
@@ -169,7 +170,7 @@ class Orchestrator:
                 return await asyncio.to_thread(path.read_bytes)
             live = self.episodes.get(episode_id)
             if live is None:
-                self.store.episode(episode_id)
+                await self.reader.episode(episode_id)
                 raise ConflictError(
                     "the character of this episode is gone, it can no longer be filmed",
                     field="id",
@@ -189,7 +190,7 @@ class Orchestrator:
         """The scene of an episode as its seed made it; None where only the tracker knows it. Raises NotFoundError."""
         if episode_id in self.episodes:
             return self.episodes[episode_id].runner.scene
-        row = await asyncio.to_thread(self.store.episode, episode_id)
+        row = await self.reader.episode(episode_id)
         spec = EpisodeSpec.model_validate(row["spec"])
         return self.services.scenes.chosen(spec.scene, spec.seed)
 

@@ -43,8 +43,8 @@ RETRY_S = 0.5
 _Write = tuple[str, Sequence[Any]]
 
 
-class Store:
-    """What survives a restart.
+class SqliteStore:
+    """What survives a restart, in one SQLite file (see `store.interface.Store`).
 
     Args:
         folder: made if needed; holds `motionloop.sqlite` and `recordings/`.

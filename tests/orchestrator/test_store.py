@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import multiprocessing
 import os
 import signal
@@ -13,7 +14,8 @@ import pytest
 
 from orchestrator.core.episode import EpisodeOutcome, EpisodeSpec
 from orchestrator.export.formats import to_bvh, to_csv
-from orchestrator.store.database import Store
+from orchestrator.store.database import SqliteStore
+from orchestrator.store.interface import Store, StoreReader
 from orchestrator.store.recordings import Recording, RecordingFiles, from_npz, to_npz
 from shared.errors import NotFoundError
 from shared.motion.ik import standing_clip
@@ -42,7 +44,7 @@ def ticks(start: int, count: int) -> TickRange:
 
 
 def _run_and_die(folder: Path) -> None:
-    store = Store(folder)
+    store = SqliteStore(folder)
     store.episode_started("e1", SPEC, {})
     store.event("e1", Event(seq=1, type="state", tick=3, unix_s=0.0, data={"after": "acting"}))
     files = RecordingFiles(store.recordings)
@@ -57,7 +59,7 @@ def test_after_a_kill_running_episodes_are_interrupted_with_all_recorded_ticks(t
     child.start()
     child.join(60)
     assert child.exitcode == -signal.SIGKILL
-    store = Store(tmp_path)
+    store = SqliteStore(tmp_path)
     assert store.mark_interrupted() == ["e1"]
     row = store.episode("e1")
     assert row["status"] == "interrupted"
@@ -72,7 +74,7 @@ def test_after_a_kill_running_episodes_are_interrupted_with_all_recorded_ticks(t
 
 
 def test_episodes_are_filtered_paged_and_deleted(tmp_path: Path) -> None:
-    store = Store(tmp_path)
+    store = SqliteStore(tmp_path)
     outcome = EpisodeOutcome(
         status="finished", reason=None, success=True, results=[], ticks=90, plans=6, missed_ticks=0
     )
@@ -92,7 +94,7 @@ def test_episodes_are_filtered_paged_and_deleted(tmp_path: Path) -> None:
 
 
 def test_a_locked_store_loses_nothing(tmp_path: Path) -> None:
-    store = Store(tmp_path)
+    store = SqliteStore(tmp_path)
     store.flush()
     other = sqlite3.connect(tmp_path / "motionloop.sqlite", isolation_level=None)
     other.execute("BEGIN EXCLUSIVE")
@@ -102,6 +104,30 @@ def test_a_locked_store_loses_nothing(tmp_path: Path) -> None:
     other.close()
     assert [event.seq for event in store.events("e")] == [1]
     store.close()
+
+
+def test_a_locked_store_holds_up_nobody_but_those_who_ask_it(tmp_path: Path) -> None:
+    """Notes are taken at once, readers wait beside the event loop, and other threads' work goes on meanwhile."""
+    store: Store = SqliteStore(tmp_path)
+    other = sqlite3.connect(tmp_path / "motionloop.sqlite", isolation_level=None)
+    other.execute("BEGIN EXCLUSIVE")
+
+    async def run() -> list[int]:
+        reader = StoreReader(store)
+        store.event("e", Event(seq=1, type="x", tick=0, unix_s=0.0))
+        asked = [asyncio.create_task(reader.events("e")) for _ in range(20)]  # far more than there are threads
+        for turn in range(10):
+            await asyncio.sleep(0)
+            store.event("e", Event(seq=turn + 2, type="x", tick=0, unix_s=0.0))
+            await asyncio.to_thread(RecordingFiles(store.recordings).add_part, "e", Recording.of(ticks(turn, 1)))
+        assert not any(task.done() for task in asked)
+        other.execute("COMMIT")
+        found = await asyncio.gather(*asked)
+        await reader.close()
+        return [event.seq for event in found[-1]]
+
+    assert asyncio.run(run()) == list(range(1, 12))
+    other.close()
 
 
 def test_a_recording_comes_back_as_it_was(tmp_path: Path) -> None:
