@@ -239,3 +239,21 @@ def test_the_death_of_the_planner_shows(context: BrowserContext, tmp_path: Path)
         tick = look(page, "m.tick")
         until(page, "m.tick > a + 10", tick)  # the physics goes on
         page.close()  # or it would, rightly, complain that the server is gone
+
+
+def test_the_objects_of_the_scene_are_drawn_where_they_are(
+    context: BrowserContext, http: httpx.Client, stack: Stack
+) -> None:
+    spec = {"pacing": "realtime", "scene": "room", "seed": 4, "character": "child"}
+    character = http.post("/v1/characters", json=spec).json()["id"]
+    page = context.new_page()
+    page.goto(stack.url)
+    ready(page)
+    until(page, "Object.keys(m.drawn_objects).length === 2")
+    there = {item["name"]: item for item in http.get(f"/v1/characters/{character}/objects").json()["items"]}
+    drawn = look(page, "m.drawn_objects")
+    assert {name: row[3] for name, row in drawn.items()} == {"bag": 2, "sofa": 4}
+    for name, row in drawn.items():
+        assert row[:3] == pytest.approx(there[name]["position_m"], abs=1e-3)
+    http.put(f"/v1/characters/{character}/objects/sofa", json={"position_m": [0.0, 3.0, 0.0]})
+    until(page, "m.drawn_objects.sofa[1] > 2.9")

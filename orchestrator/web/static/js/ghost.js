@@ -2,7 +2,7 @@
 
 import * as THREE from "/web/vendor/three.module.js";
 
-import { place } from "./mannequin.js";
+import { place, thighOf } from "./mannequin.js";
 import { emptyPose, planPose } from "./pose.js";
 import { accent } from "./world.js";
 
@@ -16,6 +16,7 @@ const PATH_POINTS = 24;
 export class Ghost {
   constructor(scene, skeleton, shapes) {
     this.on = true;
+    this.thigh = thighOf(skeleton);
     this.pose = emptyPose(skeleton.joints.length);
     this.spare = emptyPose(skeleton.joints.length);
     this.root = new THREE.Group();
@@ -56,7 +57,7 @@ export class Ghost {
     const strength = Math.min(Math.max((away - CLEAR_OF_BODY_M) / (OPAQUE_M - CLEAR_OF_BODY_M), 0), 1);
     this.root.visible = strength > 0.02;
     this.skin.opacity = STRENGTH * strength;
-    place(this.groups, this.pose);
+    place(this.groups, this.pose, this.thigh);
     this.drawPath(plan, tick, end);
   }
 

@@ -107,7 +107,7 @@ function setUpPointer(stage) {
 }
 
 /** The objects are those of the character watched, or of the episode replayed, as its seed drew them. */
-function setUpScene({ objects, replay }) {
+function setUpScene({ world, objects, replay }) {
   let shown = null;
   const refresh = () => {
     const wanted = view.mode === "replay" ? `/v1/episodes/${replay.id}/scene`
@@ -118,7 +118,9 @@ function setUpScene({ objects, replay }) {
     if (wanted === null) return;
     attempt(async () => {
       const scene = await call("GET", wanted);
-      if (shown === wanted) objects.use(scene);
+      if (shown !== wanted) return;
+      objects.use(scene);
+      world.makeRoomFor(scene.bodies.length > 0, jointPosition("pelvis") ?? undefined);
     });
   };
   on("watching", refresh);
@@ -166,6 +168,7 @@ function expose(stage) {
     get tick() { return view.frame?.tick ?? null; },
     get target() { return currentTarget(); },
     get health() { return view.health; },
+    get drawn_objects() { return stage.objects.shown(); },
     get drawn_pelvis_m() { return stage.mannequin.groups[0].position.toArray(); },
     joint_m: jointPosition,
     screenOf: (position) => onScreen(stage.world, position),

@@ -12,6 +12,7 @@ const LIMBS = {
   left_ankle: "left_foot", right_ankle: "right_foot",
 };
 const HANDLE_M = 0.1;
+const SAME_SIZE = 0.03; // a blend of two poses is that much shorter
 
 /** Geometry by joint name; shared by the body and the ghost. */
 export function bodyShapes(skeleton) {
@@ -23,10 +24,23 @@ export function limbOf(name) {
   return LIMBS[name] ?? null;
 }
 
+/** The bone that tells how large a character is: { from, to, length }. */
+export function thighOf({ joints, offsets_m }) {
+  const [from, to] = [joints.indexOf("left_hip"), joints.indexOf("left_knee")];
+  return { from, to, length: Math.hypot(...offsets_m[to]) };
+}
+
+function sizeOf(positions, { from, to, length }) {
+  const along = [0, 1, 2].map((k) => positions[3 * to + k] - positions[3 * from + k]);
+  const size = Math.hypot(...along) / length;
+  return Math.abs(size - 1) < SAME_SIZE ? 1 : size;
+}
+
 /** A body with one group a joint. */
 export class Mannequin {
   constructor(scene, skeleton, shapes) {
     this.joints = skeleton.joints;
+    this.thigh = thighOf(skeleton);
     this.root = new THREE.Group();
     this.root.visible = false;
     this.material = new THREE.MeshStandardMaterial({ vertexColors: true, roughness: 0.55, metalness: 0.02 });
@@ -47,7 +61,7 @@ export class Mannequin {
   /** Put every joint where a pose says. */
   show(pose) {
     this.root.visible = true;
-    place(this.groups, pose);
+    place(this.groups, pose, this.thigh);
   }
 
   /** Mark the limb that the next target is for (null: none). */
@@ -79,8 +93,10 @@ export class Mannequin {
 }
 
 /** Groups to where the joints are; quaternions are wxyz on the wire and xyzw in three.js. */
-export function place(groups, { positions, rotations }) {
+export function place(groups, { positions, rotations }, thigh) {
+  const size = sizeOf(positions, thigh);
   groups.forEach((group, i) => {
+    group.scale.setScalar(size);
     group.position.set(positions[3 * i], positions[3 * i + 1], positions[3 * i + 2]);
     group.quaternion.set(rotations[4 * i + 1], rotations[4 * i + 2], rotations[4 * i + 3], rotations[4 * i]);
   });

@@ -41,6 +41,12 @@ export class SceneObjects {
     });
   }
 
+  /** What is drawn now: name to position and number of parts. */
+  shown() {
+    const visible = [...this.meshes].filter(([, mesh]) => mesh.visible);
+    return Object.fromEntries(visible.map(([name, mesh]) => [name, [...mesh.position.toArray(), mesh.children.length]]));
+  }
+
   /** The material of a colour, [red, green, blue] from 0 to 1, or null for the usual one. */
   paint(colour) {
     const key = String(colour);

@@ -61,6 +61,7 @@ export class World {
       screenSpacePanning: false, zoomSpeed: 0.8,
     });
     this.following = true;
+    this.roomy = false;
     this.scale = this.frugal ? 0.6 : 1;
     this.cost = 16;
     this.next = 0;
@@ -74,11 +75,22 @@ export class World {
     this.resize();
   }
 
-  /** Put the camera where it starts: ahead of the character and to its side. */
-  frameUp(pelvis = [0, 0, 0]) {
+  /** Put the camera where it starts: ahead of the character and to its side, `away` times as far as usual. */
+  frameUp(pelvis = [0, 0, 0], away = 1) {
     this.controls.target.set(pelvis[0], pelvis[1], LOOK_HEIGHT_M);
-    this.camera.position.set(pelvis[0] + 3.3, pelvis[1] - 2.9, 1.75);
+    this.camera.position.set(pelvis[0] + 3.3 * away, pelvis[1] - 2.9 * away, LOOK_HEIGHT_M + 0.9 * away * away);
     this.controls.update();
+  }
+
+  /** Make room for the things of a scene, or for the character alone: how much is in view, and in the light. */
+  makeRoomFor(things, pelvis) {
+    const half = things ? 4 : 1.8;
+    Object.assign(this.key.shadow.camera, { left: -half, right: half, top: half, bottom: -half });
+    this.key.shadow.camera.updateProjectionMatrix();
+    this.shade.scale.setScalar(things ? 2.4 : 1);
+    if (things === this.roomy) return;
+    this.roomy = things;
+    this.frameUp(pelvis, things ? 1.6 : 1);
   }
 
   /** Let the camera go with the pelvis, keeping the angle the viewer has chosen; the light goes along. */
