@@ -164,6 +164,25 @@ def test_y_up_smpl_is_the_same_walk_and_said(tmp_path: Path, walk_xyz: np.ndarra
     np.testing.assert_allclose(given.positions_w_m, raw.positions_w_m)
 
 
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_a_person_who_lies_half_the_time_does_not_turn_the_world(tmp_path: Path, up: str) -> None:
+    """From lying on the back, head toward +Z (or +Y), to standing, in worlds with Y and with Z up."""
+    fall = np.clip(np.linspace(90.0, -10.0, FRAMES), 0.0, None)
+    arrays = smpl("y")
+    lean = Rotation.from_euler("x", fall[:, None], degrees=True)  # Y up: leaning from +Y to +Z
+    height = 0.15 + 0.8 * np.cos(np.radians(fall))
+    trans = np.stack([0 * fall, height, 0 * fall], axis=-1)
+    if up == "z":
+        turn = Rotation.from_matrix([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+        lean, trans = turn * lean, turn.apply(trans)
+    poses = np.zeros_like(arrays["poses"])
+    poses[:, :3] = lean.as_rotvec()
+    raw = read_motion(saved(tmp_path / "a.npz", arrays, poses=poses, trans=trans))
+    assert raw.up == up
+    height_of_head = raw.positions_w_m[:, raw.landmarks()["head"], 2]
+    assert height_of_head[-1] - height_of_head[0] > 1.0
+
+
 @pytest.mark.parametrize(
     ("changes", "what"),
     [

@@ -107,13 +107,13 @@ def find_up(rest: Array, positions: Array, marks: Mapping[str, int], above: Arra
     held, share = posture_up(positions, marks)
     if in_rest is None:
         return Up(held, held)
-    through = in_rest if above is None else axis_of(above @ _vector(in_rest)) or in_rest
+    through = in_rest if above is None else axis_of(above @ vector(in_rest)) or in_rest
     if held == through or share < _MOSTLY:
         return Up(through, in_rest)
     body = positions[:, [i for i in marks.values()]]
     hip = positions[:, marks["left_hip"]] - positions[:, marks["left_ankle"]]
     leg = float(np.percentile(np.linalg.norm(hip, axis=-1), 90))
-    low = {axis: (body @ _vector(axis)).min(axis=1) / max(leg, 1e-9) for axis in (held, through)}
+    low = {axis: (body @ vector(axis)).min(axis=1) / max(leg, 1e-9) for axis in (held, through)}
     flat = {axis: float(np.ptp(np.percentile(h, [5, 95]))) < _FLAT for axis, h in low.items()}
     # Whoever goes a way at a right angle to the body does not lie; a crawl goes along it.
     goes = float(np.ptp(positions[:, marks["left_hip"]], axis=0)[np.arange(3) != "xyz".index(held[-1])].max())
@@ -123,7 +123,8 @@ def find_up(rest: Array, positions: Array, marks: Mapping[str, int], above: Arra
     return Up(through, in_rest, _weighed(through, held, through))
 
 
-def _vector(axis: str) -> Array:
+def vector(axis: str) -> Array:
+    """Unit vector (3,) along 'x', '-y', ..."""
     out = np.zeros(3)
     out["xyz".index(axis[-1])] = -1.0 if axis[0] == "-" else 1.0
     return out

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from shared.errors import InvalidInputError
-from shared.motion.io.axes import TURNS, Y_UP_TO_Z_UP, axis_of
+from shared.motion.io.axes import TURNS, Y_UP_TO_Z_UP, vector
 from shared.motion.io.landmarks import Array, find_landmarks, find_segments
 from shared.motion.io.options import ReadOptions, rate_of
 from shared.motion.io.raw import LeftOutError, RawMotion, accumulate, compose
@@ -25,6 +25,8 @@ _PLACE_KEYS = ("trans", "transl", "smpl_trans")
 _OURS = ("positions_w_m", "rotations_6d")
 _UPRIGHT = 0.7
 _MOSTLY = 0.8
+_FLAT_M = 0.3
+_Y_OR_Z = (("y", 1), ("z", 2))
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
@@ -112,19 +114,25 @@ def _poses(path: Path, arrays: Mapping[str, np.ndarray]) -> tuple[Array, Array, 
     return poses[:, : joints * 3].reshape(-1, joints, 3), trans, said
 
 
-def _up(root: Array) -> tuple[str, str]:
-    """Vertical of an SMPL file and a sentence. root: (T, 3, 3) rotation of a body whose own vertical is Y.
+def _up(root: Array, positions: Array) -> tuple[str, str]:
+    """Vertical of an SMPL file and a sentence.
 
-    AMASS has Z up. Another axis is taken where the body is held along it nearly throughout.
+    AMASS has Z up. Another axis is taken where the body is held along it nearly throughout, and Y where the person goes
+    down or up and the floor is flat along Y alone.
+
+    Args:
+        root: (T, 3, 3) rotation of a body whose own vertical is Y. positions: (T, J, 3) in the file's axes.
     """
     body = root[:, :, 1]
-    axis = axis_of(body.mean(axis=0), _UPRIGHT)
-    if axis is None or axis == "z":
-        return "z", ""
-    sign = -1.0 if axis[0] == "-" else 1.0
-    if float(np.mean(sign * body[:, "xyz".index(axis[-1])] > _UPRIGHT)) < _MOSTLY:
-        return "z", ""
-    return axis, f"the body is held along {axis.upper()}, not Z: read with {axis.upper()} up (--up says otherwise)"
+    along = {axis: float(np.mean(body @ vector(axis) > _UPRIGHT)) for axis in TURNS}
+    held = max(along, key=lambda axis: along[axis])
+    if along[held] >= _MOSTLY:
+        how = f"the body is held along {held.upper()}"
+    else:
+        uneven = {axis: float(np.ptp(np.percentile(positions[:, :, i].min(axis=1), [5, 95]))) for axis, i in _Y_OR_Z}
+        held = "y" if uneven["y"] < _FLAT_M and uneven["z"] > 2 * _FLAT_M else "z"
+        how = "the floor is flat along Y"
+    return ("z", "") if held == "z" else (held, f"{how}, not Z: read with {held.upper()} up (--up says otherwise)")
 
 
 def read_smpl_npz(
@@ -160,13 +168,14 @@ def read_smpl_npz(
     else:
         poses, trans, more = _poses(path, arrays)
         rotations = matrix_from_rotvec(poses)
-        axis, doubt = _up(rotations[:, 0]) if up == "auto" else (up, "")
-        said += [*more, *([doubt] if doubt else [])]
-        c, turn = Y_UP_TO_Z_UP, TURNS[axis]
+        c = Y_UP_TO_Z_UP
         local = c @ rotations @ c.T
-        # The root's rotation takes the Y-up body into the file's world: its two sides change axes each by its own.
-        local[:, 0] = turn @ rotations[:, 0] @ c.T
-        positions, world = compose(CANONICAL.parents, offsets, trans @ turn.T * unit, local)
+        # The root's rotation takes the Y-up body into the file's world: only its body side changes axes.
+        local[:, 0] = rotations[:, 0] @ c.T
+        positions, world = compose(CANONICAL.parents, offsets, trans * unit, local)
+        axis, doubt = _up(rotations[:, 0], positions) if up == "auto" else (up, "")
+        said += [*more, *([doubt] if doubt else [])]
+        positions, world = positions @ TURNS[axis].T, TURNS[axis] @ world
         kind = "SMPL"
     return RawMotion(
         CANONICAL.names,
