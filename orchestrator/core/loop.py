@@ -13,7 +13,7 @@ from orchestrator.core.asking import keyframe_arrays, obstacle_arrays
 from orchestrator.core.services import Reply, Services, Slot
 from orchestrator.core.settings import LoopSettings
 from orchestrator.core.stitch import PlanBuffer, build_prefix, log_window, since
-from shared.errors import InvalidInputError, MalformedMessageError, MotionLoopError
+from shared.errors import InvalidInputError, MalformedMessageError, MotionLoopError, UnavailableError
 from shared.motion.characters import build
 from shared.motion.ik import clip_from_positions
 from shared.motion.resampling import finite_velocity
@@ -209,8 +209,14 @@ class CharacterLoop:
 
         The prefix is what was simulated up to now and then the rest of the old plan (DESIGN 6).
         """
-        request = await self._request(goal, now_tick, start_tick)
-        plan = await self._services.planner.ask(Plan, request, self.character_id, self.settings.plan_timeout_s)
+        spec = self.planner_spec()
+        request = await self._request(spec, goal, now_tick, start_tick)
+        try:
+            plan = await self._services.planner.ask(Plan, request, self.character_id, self.settings.plan_timeout_s)
+        except InvalidInputError as error:
+            if self.planner_spec() == spec:
+                raise
+            raise UnavailableError(f"the planner has become another one: {error.message}") from error
         frames = len(np.asarray(plan.positions_w_m))
         if plan.start_tick != start_tick or plan.fps != request.fps or frames < 1:
             raise MalformedMessageError(
@@ -271,8 +277,7 @@ class CharacterLoop:
             with contextlib.suppress(MotionLoopError):  # the old service may be on its way out
                 await old.ask(Ok, CloseCharacter(), self.character_id, self.settings.tracker_timeout_s)
 
-    async def _request(self, goal: PlanGoal, now_tick: int, start_tick: int) -> PlanRequest:
-        spec = self.planner_spec()
+    async def _request(self, spec: PlannerSpec, goal: PlanGoal, now_tick: int, start_tick: int) -> PlanRequest:
         if self._buffer.fps != spec.fps:
             self._buffer = self._buffer.at_rate(spec.fps)
         window = log_window(now_tick, spec.prefix_frames, spec.fps)
@@ -333,7 +338,7 @@ class CharacterLoop:
             raise InvalidInputError(
                 f"no planner {self.planner or slot.plugin_name!r}",
                 field="planner",
-                allowed=", ".join(str(plugin.get("name")) for plugin in slot.welcome.plugins),
+                allowed=", ".join(str(plugin.get("name")) for plugin in slot.present.plugins),
             )
         return planner_spec(declared)
 

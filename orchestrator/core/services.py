@@ -25,7 +25,7 @@ HEALTH_S = 5.0
 
 @dataclass(frozen=True)
 class Slot:
-    """A service in use: its client, what it said in the handshake, and the plug-in asked for by default."""
+    """A service in use: its client, what it said in the first handshake, and the plug-in asked for by default."""
 
     client: AsyncServiceClient
     welcome: Welcome
@@ -37,14 +37,19 @@ class Slot:
         return self.client.peer.endpoint
 
     @property
+    def present(self) -> Welcome:
+        """What it said in the last handshake: a service that was restarted may be another one."""
+        return self.client.welcome or self.welcome
+
+    @property
     def plugin_name(self) -> str:
         """The plug-in in use unless a character names another."""
-        return current_name(self.plugin or self.welcome.default_plugin)
+        return current_name(self.plugin or self.present.default_plugin)
 
     def spec(self, plugin: str | None = None) -> dict[str, Any]:
         """What the plug-in declared in the handshake; empty for one that the service does not offer."""
         name = current_name(plugin) if plugin else self.plugin_name
-        return next((dict(spec) for spec in self.welcome.plugins if spec.get("name") == name), {})
+        return next((dict(spec) for spec in self.present.plugins if spec.get("name") == name), {})
 
     async def ask(
         self, kind: type[Reply], message: Message, character_id: str | None = None, timeout_s: float = 10.0

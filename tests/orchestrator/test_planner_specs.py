@@ -61,9 +61,9 @@ def gliding(**fields: object) -> Planner:
     return planner
 
 
-def hosting(planner: Planner) -> PlannerService:
+def hosting(planner: Planner, endpoint: str = "tcp://127.0.0.1:0") -> PlannerService:
     registry: PluginRegistry[Planner] = PluginRegistry(PLANNERS, {planner.spec.name: lambda: planner}, ("own",))
-    return PlannerService(PlannerSettings(endpoint="tcp://127.0.0.1:0", max_wait_ms=0), registry=registry)
+    return PlannerService(PlannerSettings(endpoint=endpoint, max_wait_ms=0), registry=registry)
 
 
 def goal(view: BodyView, plan_tick: int) -> PlanGoal:
@@ -131,6 +131,40 @@ def test_a_planner_of_another_rate_takes_over_on_the_way(tracker: TrackerService
     steps_m = np.linalg.norm(np.diff(trace.pos_w_m[:, 0, :2], axis=0), axis=-1)
     assert steps_m.max() < 1.5 * np.linalg.norm(GOAL_M) / 60
     assert steps_m[20:55].min() > 0.5 * np.linalg.norm(GOAL_M) / 60, "it never stops on the way"
+
+
+def test_a_planner_that_comes_back_as_another_is_taken_as_it_is(tracker: TrackerService) -> None:
+    """Restarted with another rate and prefix at the same address: the loop goes on by what it says then."""
+
+    async def go(address: str) -> tuple[np.ndarray, list[str | None], list[int]]:
+        services = Services(await connect(address, "planner"), await connect(tracker.endpoint, "tracker"))
+        loop = CharacterLoop(str(uuid.uuid4()), services, LOCKSTEP, seed=1)
+        troubles, rates = [], []
+        try:
+            driver = LockstepDriver(loop, await loop.ask_tracker(StateFrame, CreateCharacter()))
+            for cycle_number in range(8):
+                if cycle_number == 2:
+                    running[0].stop()
+                    running.append(hosting(new, address).start())
+                cycle = await driver.cycle(goal)
+                troubles.append(cycle.planner_error)
+                if cycle.plans and loop.last_plan is not None:
+                    rates.append(loop.last_plan.fps)
+            return np.asarray(cycle.state.body_pos_w_m)[0, :2], troubles, rates
+        finally:
+            await services.close()
+
+    old, new = gliding(fps=20, prefix_frames=20, plan_frames=40), gliding(fps=30, prefix_frames=5, plan_frames=60)
+    running = [hosting(old).start()]
+    try:
+        place, troubles, rates = asyncio.run(go(running[0].endpoint))
+    finally:
+        for service in running:
+            service.stop()
+    assert [trouble for trouble in troubles if trouble is not None] == [troubles[2]]
+    assert "another one" in (troubles[2] or "")
+    assert (rates[:2], set(rates[2:])) == ([20, 20], {30})
+    np.testing.assert_allclose(place, GOAL_M, atol=0.02)
 
 
 @pytest.mark.parametrize(
