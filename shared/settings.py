@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from shared.protocol.errors import invalid_input_from
 from shared.protocol.security import CurveKeys, check_bind, load_curve_keys
+from shared.tracing import LogFormat
 
 S = TypeVar("S", bound="Settings")
 
@@ -35,7 +36,8 @@ class ServiceSettings(Settings):
         workers: threads that handle requests.
         max_pending: requests under way before new ones are refused as overloaded.
         curve_dir: folder of CURVE keys (`python -m shared.protocol.keys FOLDER`), or None.
-        log_level: of the process.
+        log_level: of the process; debug has a line for every message.
+        log_format: lines for people, or JSON with the trace id (docs/operations.md).
         metrics_port: of loopback, where Prometheus finds the service's numbers; 0 takes a free one, None serves none.
     """
 
@@ -44,6 +46,7 @@ class ServiceSettings(Settings):
     max_pending: Annotated[int, Field(ge=1, le=10_000)] = 256
     curve_dir: Path | None = Field(default_factory=lambda: curve_dir_from_environment())
     log_level: Literal["debug", "info", "warning", "error"] = "info"
+    log_format: LogFormat = "text"
     metrics_port: Annotated[int, Field(ge=0, le=65535)] | None = None
 
     @model_validator(mode="after")

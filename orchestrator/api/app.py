@@ -16,6 +16,7 @@ from orchestrator.api.health import HealthWatch
 from orchestrator.api.hosts import HostGuard
 from orchestrator.api.metrics import OrchestratorMetrics
 from orchestrator.api.settings import OrchestratorSettings
+from orchestrator.api.tracing import Tracing
 from orchestrator.core.manager import Orchestrator
 from orchestrator.core.scenes import Scenes
 from orchestrator.core.services import Services, Slot, connect
@@ -82,6 +83,7 @@ def create_app(settings: OrchestratorSettings, opened: Orchestrator | None = Non
     problems.install(app)
     if settings.token is None or settings.allowed_hosts:
         app.add_middleware(HostGuard, allowed=(settings.host, *settings.allowed_hosts))
+    app.add_middleware(Tracing)  # added last, it is the outermost: what the others turn away is traced too
     guarded: list[Any] = [Depends(check_token)]
     app.include_router(characters.router, dependencies=guarded)
     app.include_router(episodes.router, dependencies=guarded)

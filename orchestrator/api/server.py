@@ -14,6 +14,7 @@ from orchestrator.api.app import create_app, open_orchestrator
 from orchestrator.api.listener import bind
 from orchestrator.api.settings import OrchestratorSettings
 from orchestrator.store.lock import FolderLock
+from shared.tracing import configure_logging
 
 
 class _Server(uvicorn.Server):
@@ -41,6 +42,7 @@ def serve(settings: OrchestratorSettings) -> None:
     # uvicorn raises the signal once more after its shutdown: a clean end is exit code 0 and not death by SIGTERM.
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, _end)
+    configure_logging("orchestrator", settings.log_level, settings.log_format)
     listener = bind(settings.host, settings.port)
     try:
         with FolderLock(settings.data_dir):
@@ -52,7 +54,7 @@ def serve(settings: OrchestratorSettings) -> None:
 async def _serve(settings: OrchestratorSettings, listener: socket.socket) -> None:
     app = create_app(settings, await open_orchestrator(settings))
     config = uvicorn.Config(
-        app, host=settings.host, port=settings.port, log_level="warning", lifespan="on",
+        app, host=settings.host, port=settings.port, log_level="warning", log_config=None, lifespan="on",
         timeout_graceful_shutdown=5, ws_ping_interval=20.0, ws_max_queue=32,
     )  # fmt: skip
     await _Server(config).serve(sockets=[listener])

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, SecretStr, model_validator
 
 from shared.protocol.security import is_loopback
 from shared.settings import Settings, curve_dir_from_environment
+from shared.tracing import LogFormat
 
 TOKEN_CHARS = 16
 
@@ -28,6 +29,8 @@ class OrchestratorSettings(Settings):
         curve_dir: folder of CURVE keys, for services on other machines.
         connect_timeout_s: how long to wait for the services at the start.
         max_running: characters and episodes at once.
+        log_level: of the process; info has a line for every request.
+        log_format: lines for people, or JSON with the trace id (docs/operations.md).
     """
 
     env_prefix: ClassVar[str] = "MOTIONLOOP_"
@@ -45,6 +48,8 @@ class OrchestratorSettings(Settings):
     curve_dir: Path | None = Field(default_factory=curve_dir_from_environment)
     connect_timeout_s: Annotated[float, Field(gt=0, le=600)] = 60.0
     max_running: Annotated[int, Field(ge=1, le=1000)] = 64
+    log_level: Literal["debug", "info", "warning", "error"] = "warning"
+    log_format: LogFormat = "text"
 
     @model_validator(mode="after")
     def _no_open_door(self) -> OrchestratorSettings:

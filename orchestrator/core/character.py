@@ -38,6 +38,7 @@ from shared.protocol.messages import (
 from shared.protocol.rest import CommandReading
 from shared.scenes.schema import Scene
 from shared.tasks.interface import BodyView, PlanGoal
+from shared.tracing import current_trace
 
 log = logging.getLogger(__name__)
 
@@ -126,6 +127,7 @@ class CharacterSession:
             self._source = SteppedGoal(command, self.state.tick)
         if command.replan == "now" and self._driver is not None:
             self._driver.replan_now()
+        self.loop.trace_id = current_trace()
         self.events.emit("command", self.state.tick, **command.model_dump(mode="json", exclude_none=True))
         return self.state.tick
 

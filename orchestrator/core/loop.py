@@ -46,6 +46,7 @@ from shared.protocol.rates import first_start_by, frame_of_tick, start_spacing
 from shared.tasks.interface import BodyView, PlanGoal, Trace, joined
 from shared.tasks.obey import asks_low
 from shared.tasks.world import World
+from shared.tracing import traced
 
 GoalSource = Callable[[BodyView, int], PlanGoal]
 """What to ask for, given the body now and the tick the plan will start at."""
@@ -154,6 +155,8 @@ class CharacterLoop:
         self._build = build("human")
         self._may_be_low = (-1, False)
         self.plans_made = 0
+        self.trace_id: str | None = None
+        """Of the newest command's request: goes along with the plans made for it."""
         self.last_plan: Plan | None = None
         self.swap_error: str | None = None
 
@@ -212,7 +215,8 @@ class CharacterLoop:
         spec = self.planner_spec()
         request = await self._request(spec, goal, now_tick, start_tick)
         try:
-            plan = await self._services.planner.ask(Plan, request, self.character_id, self.settings.plan_timeout_s)
+            with traced(self.trace_id):
+                plan = await self._services.planner.ask(Plan, request, self.character_id, self.settings.plan_timeout_s)
         except InvalidInputError as error:
             if self.planner_spec() == spec:
                 raise
@@ -245,7 +249,8 @@ class CharacterLoop:
             action_space=plan.action_space,
             may_be_low=self._may_be_low == (plan.start_tick, True),
         )
-        reply = await self.ask_tracker(TrackReply, track)
+        with traced(self.trace_id):
+            reply = await self.ask_tracker(TrackReply, track)
         if reply.accepted:
             if plan.fps != self._buffer.fps:
                 self._buffer = self._buffer.at_rate(plan.fps)

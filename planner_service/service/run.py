@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import logging
 import signal
 import sys
 import threading
@@ -13,6 +12,7 @@ from planner_service.service.service import PlannerService
 from planner_service.service.settings import PlannerSettings
 from shared.errors import MotionLoopError
 from shared.settings import add_arguments, load_settings
+from shared.tracing import configure_logging
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -24,7 +24,7 @@ def run(arguments: Sequence[str]) -> int:
         signal.signal(number, lambda *_: stop.set())
     try:
         settings = load_settings(PlannerSettings, vars(parser.parse_args(arguments)))
-        logging.basicConfig(level=settings.log_level.upper(), format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+        configure_logging("planner", settings.log_level, settings.log_format)
         service = PlannerService(settings).start()
     except MotionLoopError as error:
         hint = f" (allowed: {error.allowed})" if error.allowed else ""

@@ -26,6 +26,7 @@ from shared.protocol.control import Envelope, ErrorReply, Health, Hello, Welcome
 from shared.protocol.errors import error_from
 from shared.protocol.security import CurveKeys, closed_on_error, secure_client
 from shared.protocol.server import SKELETON_ID
+from shared.tracing import current_trace
 
 Kind = Literal["planner", "tracker"]
 Reply = TypeVar("Reply", bound=Message)
@@ -101,7 +102,7 @@ def _envelope(
         character_id=character_id,
         sequence=sequence,
         deadline_unix_s=time.time() + timeout_s,
-        trace_id=trace_id,
+        trace_id=trace_id or current_trace(),
         instance_id=welcome.instance_id if welcome else None,
     )
 

@@ -38,6 +38,7 @@ from shared.protocol.security import (
     start_authenticator,
     wildcard_port,
 )
+from shared.tracing import fields, traced
 
 Handler = Callable[[Envelope, Any], "Message | Future[Message]"]
 SKELETON_ID = "human22"
@@ -266,10 +267,11 @@ class ServiceServer:
             return
         outcome: Message | MotionLoopError | Future[Message]
         try:
-            if isinstance(job.message, Hello):
-                outcome = self._shake_hands(job.message)
-            else:
-                outcome = self._handlers[type(job.message)](job.envelope, job.message)
+            with traced(job.envelope.trace_id):
+                if isinstance(job.message, Hello):
+                    outcome = self._shake_hands(job.message)
+                else:
+                    outcome = self._handlers[type(job.message)](job.envelope, job.message)
         except Exception as error:  # noqa: BLE001 - the edge: whatever a handler raises, the sender gets a reply
             outcome = _as_motion_loop_error(error, job.message.type)
         if isinstance(outcome, Future):
@@ -300,6 +302,10 @@ class ServiceServer:
         """Send the reply to all who wait for it, and remember it if the request was carried out."""
         message = error_reply(outcome) if isinstance(outcome, MotionLoopError) else outcome
         message_id = job.envelope.message_id
+        if log.isEnabledFor(logging.DEBUG):
+            became = outcome.code if isinstance(outcome, MotionLoopError) else message.type
+            with traced(job.envelope.trace_id):
+                log.debug("%s", job.message.type, extra=fields(reply=became, character=job.envelope.character_id))
         try:
             frames = encode(self._reply_envelope(message, message_id, job.envelope), message)
         except MotionLoopError as error:

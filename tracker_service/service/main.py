@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import logging
 import os
 import signal
 import sys
@@ -11,6 +10,7 @@ import threading
 
 from shared.errors import MotionLoopError
 from shared.settings import add_arguments, load_settings
+from shared.tracing import configure_logging
 from tracker_service.service.settings import TrackerServiceSettings
 
 
@@ -23,7 +23,7 @@ def main(argv: list[str] | None = None) -> int:
     add_arguments(parser, TrackerServiceSettings)
     try:
         settings = load_settings(TrackerServiceSettings, vars(parser.parse_args(argv)))
-        logging.basicConfig(level=settings.log_level.upper(), format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+        configure_logging("tracker", settings.log_level, settings.log_format)
         return serve(settings)
     except MotionLoopError as error:
         allowed = f" (allowed: {error.allowed})" if error.allowed else ""

@@ -45,6 +45,7 @@ from shared.protocol.messages import (
 from shared.protocol.transport import ServiceServer, StatePublisher
 from shared.scenes.files import scene_from_data
 from shared.scenes.schema import Scene
+from shared.tracing import fields
 from tracker_service.policy.learned import WEIGHTS
 from tracker_service.rendering.render import VideoRenderer
 from tracker_service.rendering.video_job import VideoJob
@@ -313,7 +314,10 @@ class TrackerService:
         return self._published(hosted.reset(message.position_w_m, message.heading_rad))
 
     def _track(self, envelope: Envelope, message: Track) -> TrackReply:
-        return self.character(envelope.character_id).track(message)
+        reply = self.character(envelope.character_id).track(message)
+        said = fields(character=envelope.character_id, tick=reply.tick, enters_at_tick=reply.entered_tick)
+        log.debug("plan %s", "taken" if reply.accepted else "dropped", extra=said)
+        return reply
 
     def _step(self, envelope: Envelope, message: Step) -> StateFrame:
         return self._published(self.character(envelope.character_id).lockstep(message.ticks))
