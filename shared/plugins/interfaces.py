@@ -128,7 +128,8 @@ class TrackerObservation:
         foot_height_w_m: (2,) the same under the left and the right foot.
         seat_height_w_m: (1,) the same under the pelvis.
 
-    Heights are those of the topmost surface of fixed objects that lies below the pelvis; 0 on the floor.
+    Heights are those of the topmost surface below the pelvis of fixed objects and of what has an area marked to sit or
+    stand on; 0 on the floor.
     """
 
     body_pos_w_m: FloatArray

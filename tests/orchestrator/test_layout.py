@@ -52,10 +52,10 @@ def one_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Clie
 def test_lockstep_gives_the_same_log_in_one_process_and_in_three(
     one_process: httpx.Client, three_processes: httpx.Client, planner: str, tracker: str
 ) -> None:
-    """Bit for bit: positions, velocities, contacts, references, plans."""
+    """Bit for bit: positions, velocities, contacts, objects, references, plans."""
     if planner == "dip" and not SHIPPED.is_file():
         pytest.skip(f"no weights at {SHIPPED}")
-    spec = {"tasks": TASKS, "seed": 7, "planner": planner, "tracker": tracker, "time_limit_s": 8}
+    spec = {"tasks": TASKS, "seed": 7, "planner": planner, "tracker": tracker, "time_limit_s": 8, "scene": "balls"}
     here, log_here = play(one_process, spec)
     there, log_there = play(three_processes, spec)
     assert log_here.keys() == log_there.keys()

@@ -16,6 +16,7 @@ from tracker_service.simulation.character import SimulatedCharacter
 from tracker_service.simulation.character_spec import HUMAN
 from tracker_service.simulation.humanoid import humanoid
 from tracker_service.simulation.scene import build_scene
+from tracker_service.training.seats import SEAT_SIZE_M, height_points, seat_heights
 
 HUMANOID = humanoid(HUMAN)
 THINGS = parse_scene(
@@ -110,6 +111,36 @@ def test_heights_are_those_of_what_is_below_the_pelvis() -> None:
     # What hangs above the pelvis is not below it.
     character.set_object("bench", position_w_m=(0.0, 1.0, 1.0))
     assert character.observe().seat_height_w_m[0] == 0
+
+
+@pytest.mark.parametrize("top_m", [0.3, 0.55])
+def test_heights_are_those_that_training_shows(top_m: float) -> None:
+    """The policy is trained on the analytic heights of one block; in use it sees rays cast on the scene."""
+    x, y, heading = 0.15, -0.1, 0.4
+    half = [size / 2 for size in SEAT_SIZE_M]
+    scene = parse_scene(
+        f"name: seat\nbodies: [{{name: seat, shape: box, size_m: {half}, heading_deg: {np.degrees(heading)},"
+        f" position_w_m: [{x}, {y}, {top_m - half[2]}]}}]"
+    )
+    character = SimulatedCharacter(build_scene(HUMANOID, scene), make_tracker("pd", HUMANOID), heading_rad=-0.7)
+    seen = character.observe()
+    feet = (CANONICAL.index("left_foot"), CANONICAL.index("right_foot"))
+    forward = matrix_from_quat(seen.body_quat_w[:1])[:, :, 0]
+    points = height_points(seen.body_pos_w_m[None], forward, feet)
+    wanted = seat_heights(points, seen.body_pos_w_m[None, 0, 2], np.array([[x, y, top_m, heading]]))[0]
+    assert wanted.any() and not wanted.all()
+    np.testing.assert_allclose(
+        np.concatenate([seen.ground_height_w_m, seen.foot_height_w_m, seen.seat_height_w_m]), wanted, atol=1e-6
+    )
+
+
+def test_a_chair_that_can_be_pushed_is_a_seat_all_the_same() -> None:
+    scene = load_scene("chair")
+    chair = scene.bodies[0]
+    character = SimulatedCharacter(
+        build_scene(HUMANOID, scene), make_tracker("pd", HUMANOID), xy_w_m=(chair.position_w_m[0], 0.0)
+    )
+    assert character.observe().seat_height_w_m[0] == pytest.approx(0.45, abs=0.005)
 
 
 def test_moved_objects_are_there_in_the_log_and_survive_a_snapshot() -> None:

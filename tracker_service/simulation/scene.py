@@ -44,8 +44,10 @@ def build_scene(human: Humanoid, scene: Scene) -> SceneModel:
     """Compile the humanoid and a scene's objects; objects collide with the humanoid, the floor and each other."""
     spec = humanoid_spec(human)
     spec.geom("floor").contype |= FLOOR_BIT
+    # What has an area to sit or stand on is seen by the rays for heights even if it can be pushed about: a chair.
+    seats = {mark.body for mark in scene.marks.values() if mark.half_size_m is not None}
     for item in scene.bodies:
-        add_object(spec, item)
+        add_object(spec, item, item.name in seats)
     model = spec.compile()
     names = tuple(item.name for item in scene.bodies)
     ids = np.array([model.body(OBJECT_PREFIX + name).id for name in names], dtype=np.int64)

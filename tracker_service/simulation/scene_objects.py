@@ -21,7 +21,7 @@ from tracker_service.simulation.humanoid import BODY_BIT, WORLD_BIT
 OBJECT_PREFIX = "object_"
 OBJECT_BIT, FLOOR_BIT = 32, 64
 """Contact bits beside those of the humanoid: objects among themselves, and what meets the floor alone."""
-FIXED_GROUP, GROUND_GROUP = 3, 4
+SURFACE_GROUP, GROUND_GROUP = 3, 4
 """Geom groups that rays for heights see: seats and the like, and what counts as floor."""
 RIM_SPHERES = 16
 RIM_RADIUS_M = 0.005
@@ -34,8 +34,12 @@ _SHAPES = {
 _TRUE = mujoco.mjtLimited.mjLIMITED_TRUE
 
 
-def add_object(spec: mujoco.MjSpec, item: SceneBody) -> None:
-    """Add a body with its joint and its geoms; it collides with the humanoid, the floor and other objects."""
+def add_object(spec: mujoco.MjSpec, item: SceneBody, seat: bool = False) -> None:
+    """Add a body with its joint and its geoms; it collides with the humanoid, the floor and other objects.
+
+    Args:
+        seat: rays for heights see it although it is not fixed.
+    """
     pose, name = pose_of(item), OBJECT_PREFIX + item.name
     # A fixed body is MuJoCo's mocap body: it has a pose in each character's own data, so that SetObject can move it.
     body = spec.worldbody.add_body(name=name, pos=pose[:3], quat=pose[3:], mocap=item.motion == "fixed")
@@ -57,10 +61,10 @@ def add_object(spec: mujoco.MjSpec, item: SceneBody) -> None:
             "condim": 3 if rolling is None else 6,
         }
         mass = {} if masses is None else {"mass": masses[number]}
-        group = 0
+        group = SURFACE_GROUP if seat else 0
         contype = conaffinity = WORLD_BIT | BODY_BIT | OBJECT_BIT
         if item.motion == "fixed":
-            group = GROUND_GROUP if item.ground else FIXED_GROUP
+            group = GROUND_GROUP if item.ground else SURFACE_GROUP
             contype, conaffinity = WORLD_BIT | OBJECT_BIT, 0  # meets what moves, not the floor nor its like
         elif part.shape == "cylinder":
             contype, conaffinity = WORLD_BIT | OBJECT_BIT, OBJECT_BIT

@@ -12,7 +12,7 @@ from shared.motion.rotations import cross, matrix_from_quat, quat_mul
 from shared.plugins.interfaces import GROUND_GRID_M, NEAR_OBJECT_M, NEAR_OBJECTS
 from shared.scenes.schema import Part
 from tracker_service.simulation.scene import SceneModel
-from tracker_service.simulation.scene_objects import FIXED_GROUP, GROUND_GROUP
+from tracker_service.simulation.scene_objects import GROUND_GROUP, SURFACE_GROUP
 
 Array = npt.NDArray[np.float64]
 _DOWN = np.array([0.0, 0.0, -1.0])
@@ -32,7 +32,7 @@ class Surroundings(TypedDict, total=False):
 
 
 class Heights:
-    """Heights of the topmost surface of fixed objects below a point; 0 where only the floor is.
+    """Heights of the topmost surface of fixed objects and seats below a point; 0 where only the floor is.
 
     Args:
         scene: whose objects there are.
@@ -41,10 +41,10 @@ class Heights:
     def __init__(self, scene: SceneModel):
         self._model = scene.model
         group = np.asarray(scene.model.geom_group)
-        self.any_fixed = bool(np.isin(group, (FIXED_GROUP, GROUND_GROUP)).any())
+        self.any_surface = bool(np.isin(group, (SURFACE_GROUP, GROUND_GROUP)).any())
         self._any_ground = bool((group == GROUND_GROUP).any())
         self._ground = _groups(GROUND_GROUP)
-        self._fixed = _groups(FIXED_GROUP, GROUND_GROUP)
+        self._surfaces = _groups(SURFACE_GROUP, GROUND_GROUP)
 
     def ground_m(self, data: mujoco.MjData, below_w_m: Array) -> float:
         """Of what counts as ground, below a point (3,)."""
@@ -52,9 +52,9 @@ class Heights:
 
     def surfaces_m(self, data: mujoco.MjData, below_w_m: Array) -> Array:
         """(N,) of ground and seats, below points (N, 3)."""
-        if not self.any_fixed:
+        if not self.any_surface:
             return np.zeros(len(below_w_m))
-        return np.array([self._cast(data, point, self._fixed) for point in below_w_m])
+        return np.array([self._cast(data, point, self._surfaces) for point in below_w_m])
 
     def _cast(self, data: mujoco.MjData, point: Array, groups: npt.NDArray[np.uint8]) -> float:
         hit = np.zeros(1, dtype=np.int32)
@@ -91,7 +91,7 @@ class Sight:
         out = Surroundings()
         if len(self._object):
             out.update(self._near(body_pos_w_m[0], pose_w, vel_w))
-        if self._heights.any_fixed:
+        if self._heights.any_surface:
             out.update(self._under(data, body_pos_w_m, forward_w))
         return out
 
