@@ -190,6 +190,37 @@ EXPORTERS: dict[str, tuple[Spelling, str]] = {
                 ("Shoulder", "UArm", "FArm", "Hand", "Thigh", "Shin", "Foot", "Toe"), ("L", "R")),
         "OptiTrack",
     ),
+    "auto-rig pro": (
+        renamed({"Hips": "root.x", "Neck": "neck.x", "Head": "head.x"}, "{p}.{s}",
+                ("shoulder", "arm_stretch", "forearm_stretch", "hand", "thigh_stretch", "leg_stretch", "foot",
+                 "toes_01"), ("l", "r")),
+        "other",
+    ),
+    "mocopi": (
+        renamed({"Hips": "root", "Spine": "torso_1", "Chest": "torso_7", "Neck": "neck_1", "Head": "head"}, "{s}_{p}",
+                ("shoulder", "up_arm", "low_arm", "hand", "up_leg", "low_leg", "foot", "toes"), ("l", "r")),
+        "other",
+    ),
+    "second life": (
+        renamed(middle("m{p}") | {"Hips": "mPelvis"}, "m{p}{s}",
+                ("Collar", "Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle", "Foot"), ("Left", "Right")),
+        "other",
+    ),
+    "source": (
+        renamed(middle("ValveBiped.Bip01_{p}"), "ValveBiped.Bip01_{s}_{p}", ABBREVIATED, ("L", "R")),
+        "Source",
+    ),
+    "makehuman": (
+        renamed({"Hips": "root", "Neck": "neck01"}, "{p}.{s}",
+                ("clavicle", "upperarm01", "lowerarm01", "wrist", "upperleg01", "lowerleg01", "foot", "toe1-1"),
+                ("L", "R")),
+        "other",
+    ),
+    "b prefix": (
+        renamed(middle("b_{p}") | {"Hips": "b_root"}, "b_{s}_{p}",
+                ("shoulder", "arm", "forearm", "wrist", "upleg", "leg", "foot", "ball"), ("l", "r")),
+        "other",
+    ),
     "kinect": (
         renamed({"Hips": "SpineBase"}, "{p}{s}",
                 ("Clavicle", "Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle", "Foot"), ("Left", "Right")),

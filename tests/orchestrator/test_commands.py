@@ -148,3 +148,6 @@ def test_eval_tracker_reads_clips_as_it_is_told(tmp_path: Path) -> None:
     assert "error: walk.bvh: Frame Time 33.333 s" in said and "can be followed" in said
     result = json.loads(result_file.read_text())
     assert result["clips"] == 0 and list(result["errors"]) == ["walk.bvh"]
+    assert "can be followed" in result["error"]
+    run("eval", "tracker", "--clips", str(tmp_path / "nowhere"), "--json", str(result_file), code=1)
+    assert "no motion files" in json.loads(result_file.read_text())["error"]

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import typer
 
-from shared.console import check_output_file, errors_for_people
+from shared.console import EXPECTED, as_ours, check_output_file, errors_for_people
 from shared.data.cached import cached_corpus
 from shared.data.corpus import Corpus
 from shared.data.reading import Outcome, read_all, summary
@@ -134,17 +134,20 @@ def main(
         typer.echo(json.dumps({k: v for k, v in result.items() if k != "per_clip"}, indent=2))
         return
     outcomes: list[Outcome] = []
-    if clips is not None:
-        options = ReadOptions(fps, up.lower(), unit, read_joint_map(joints) if joints is not None else None)
-        motions, outcomes = motions_of_files(clips, options, typer.echo)
-        typer.echo(summary(outcomes))
-    else:
-        assert corpus is not None
-        motions = motions_of_corpus(corpus, "heldout")
-    if not motions:
-        write({"clips": 0, **told_of_files(outcomes)})
-        raise InvalidInputError(f"no clip at {clips or corpus} can be followed", field="clips")
-    result = evaluate_weights(motions, policy_file) | told_of_files(outcomes)
+    try:
+        if clips is not None:
+            options = ReadOptions(fps, up.lower(), unit, read_joint_map(joints) if joints is not None else None)
+            motions, outcomes = motions_of_files(clips, options, typer.echo)
+            typer.echo(summary(outcomes))
+        else:
+            assert corpus is not None
+            motions = motions_of_corpus(corpus, "heldout")
+        if not motions:
+            raise InvalidInputError(f"no clip at {clips or corpus} can be followed", field="clips")
+        result = evaluate_weights(motions, policy_file) | told_of_files(outcomes)
+    except EXPECTED as error:
+        write({"clips": 0, "error": as_ours(error).message, **told_of_files(outcomes)})
+        raise
     write(result)
     for name, row in sorted(result["by_behaviour"].items()):
         typer.echo(f"{name:14} {row['success']:.2f} of {row['clips']:3}  {row['mpjpe_mm']:.0f} mm")

@@ -54,8 +54,8 @@ def normalise(name: str, before: Sequence[str] = (), after: Sequence[str] = ()) 
         words = words[: -len(after)]
     while len(words) > 1 and _PREFIX.fullmatch(words[0]):
         words = words[1:]
-    if len(words) > 1 and words[-1] == "bend":  # Daz parts a limb's bone into a bending and a twisting one
-        words = words[:-1]
+    # Daz parts a limb's bone into a bending and a twisting one, Auto-Rig Pro calls it stretched.
+    words = [word for word in words if word not in ("bend", "stretch")] or words
     side = ""
     kept = []
     for word in words:
