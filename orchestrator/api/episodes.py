@@ -9,7 +9,7 @@ from fastapi import APIRouter, Body, Query, Response
 from fastapi.responses import StreamingResponse
 
 from orchestrator.api.deps import Core, EpisodeId
-from orchestrator.api.models import EpisodeBody, EpisodeCreated, EpisodeList
+from orchestrator.api.models import EpisodeBody, EpisodeCreated, EpisodeList, InsertBody, TaskChanged
 from orchestrator.api.problems import RESPONSES
 from orchestrator.core.episode import EpisodeSpec
 from orchestrator.core.manager import Orchestrator
@@ -29,6 +29,10 @@ _EPISODES: dict[str, Any] = {
             ],
         },
     }
+}
+_INSERTS: dict[str, Any] = {
+    "next": {"summary": "As the next one", "value": {"task": {"type": "halt"}}},
+    "later": {"summary": "After the next two", "value": {"task": {"type": "reach", "relative_m": [1, 0]}, "place": 2}},
 }
 Status = Literal["running", "finished", "failed", "cancelled", "interrupted"]
 
@@ -79,6 +83,22 @@ async def get(core: Core, episode_id: EpisodeId) -> EpisodeBody:
 async def delete(core: Core, episode_id: EpisodeId) -> dict[str, str]:
     """Cancel a running episode; delete one that is over, with its recording."""
     return {"status": await core.cancel_or_delete_episode(str(episode_id))}
+
+
+@router.post("/{episode_id}/skip", status_code=202)
+async def skip(core: Core, episode_id: EpisodeId) -> TaskChanged:
+    """End the task being performed, as failed, and go on with the next."""
+    runner = await core.running_episode(str(episode_id))
+    return TaskChanged(index=runner.skip(), status="skipped")
+
+
+@router.post("/{episode_id}/insert", status_code=202)
+async def insert(
+    core: Core, episode_id: EpisodeId, body: Annotated[InsertBody, Body(openapi_examples=_INSERTS)]
+) -> TaskChanged:
+    """Add a task to an episode that runs, by default as the next one."""
+    runner = await core.running_episode(str(episode_id))
+    return TaskChanged(index=runner.insert(body.task, body.place), status="inserted")
 
 
 @router.get("/{episode_id}/events", response_class=StreamingResponse)

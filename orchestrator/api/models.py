@@ -16,6 +16,7 @@ from shared.protocol.base import Name
 from shared.protocol.messages import StateFrame
 from shared.protocol.rest import CharacterFields, CommandReading, EpisodeFields, StateFields
 from shared.tasks.interface import heading_from_positions
+from shared.tasks.specs import TaskSpec
 
 MAX_IMPULSE_NS = 500.0
 Newtonseconds = Annotated[FiniteFloat, Field(ge=-MAX_IMPULSE_NS, le=MAX_IMPULSE_NS)]
@@ -104,6 +105,21 @@ class EpisodeBody(EpisodeFields):
 
     spec: EpisodeSpec
     outcome: EpisodeOutcome | None = None
+
+
+class InsertBody(BaseModel):
+    """A task to add, before what is `place`-th to come: 0 is next, and beyond the end is last."""
+
+    model_config = ConfigDict(extra="forbid")
+    task: TaskSpec
+    place: Annotated[int, Field(ge=0, le=1000)] = 0
+
+
+class TaskChanged(BaseModel):
+    """What became of the task with this index."""
+
+    index: int
+    status: Literal["skipped", "inserted"]
 
 
 class EpisodeList(BaseModel):

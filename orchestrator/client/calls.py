@@ -37,6 +37,7 @@ class CharacterOptions(TypedDict, total=False):
 
     character: `human`, `child` (1.2 m) or `heavy` (1.9 m, 130 kg).
     pacing: `realtime` runs by the wall clock, `lockstep` when `step` is called. planner, tracker: plug-ins by name.
+    on_fall: `stay`, `reset` (put on its feet) or `get_up`.
     """
 
     character: str
@@ -45,6 +46,7 @@ class CharacterOptions(TypedDict, total=False):
     tracker: str | None
     pacing: Literal["realtime", "lockstep"]
     seed: int
+    on_fall: Literal["stay", "reset", "get_up"]
 
 
 class CommandOptions(TypedDict, total=False):
@@ -77,6 +79,7 @@ class EpisodeOptions(TypedDict, total=False):
     order: Literal["sequence", "random"]
     seed: int
     pacing: Literal["lockstep", "realtime"]
+    on_fall: Literal["stay", "reset", "get_up"]
     time_limit_s: float | None
     planner: str | None
     tracker: str | None
@@ -199,6 +202,21 @@ def list_episodes(status: str | None, limit: int, offset: int) -> Call[list[Epis
 def delete_episode(episode_id: str) -> Call[str]:
     """Cancel a running one (`cancelled`), delete one that is over with its recording (`deleted`)."""
     return Call("DELETE", f"/v1/episodes/{episode_id}", lambda data: str(json.loads(data)["status"]))
+
+
+def skip_task(episode_id: str) -> Call[int]:
+    """End the task being performed as failed; the reply is its index."""
+    return Call("POST", f"/v1/episodes/{episode_id}/skip", _index)
+
+
+def insert_task(episode_id: str, task: Mapping[str, Any] | BaseModel, place: int) -> Call[int]:
+    """Add a task to a running one; the reply is its index."""
+    body = {"task": task.model_dump(mode="json") if isinstance(task, BaseModel) else dict(task), "place": place}
+    return Call("POST", f"/v1/episodes/{episode_id}/insert", _index, body)
+
+
+def _index(data: bytes) -> int:
+    return int(json.loads(data)["index"])
 
 
 def events_path(episode_id: str, since: int) -> str:

@@ -321,6 +321,14 @@ class Episode:
             raise ConflictError("how the episode ended is known after wait()", field="result")
         return self._result
 
+    def skip(self) -> int:
+        """End the task being performed, as failed, and go on with the next; returns its index."""
+        return self._client.do(calls.skip_task(self.id))
+
+    def insert(self, task: Mapping[str, Any] | BaseModel, place: int = 0) -> int:
+        """Add a task before what is `place`-th to come (0: next); returns its index."""
+        return self._client.do(calls.insert_task(self.id, task, place))
+
     def cancel(self) -> None:
         """End it now; what was recorded stays. Nothing happens to one that is over."""
         if self.info().status == "running":

@@ -15,6 +15,7 @@ from orchestrator.core.drivers import Cycle, Driver, LockstepDriver, RealtimeDri
 from orchestrator.core.events import EventLog
 from orchestrator.core.fanout import Fanout
 from orchestrator.core.loop import CharacterLoop, view_of
+from orchestrator.core.on_fall import OnFall, get_up_goal
 from orchestrator.core.reading import NearestSentences, read_command
 from orchestrator.core.scenes import SceneChoice, name_of
 from orchestrator.core.services import Services
@@ -49,7 +50,10 @@ REFUSALS_IN_A_ROW = 4
 
 
 class CharacterSpec(BaseModel):
-    """A character to make. planner and tracker name plug-ins; None for the services' own choice."""
+    """A character to make. planner and tracker name plug-ins; None for the services' own choice.
+
+    After a fall it stays where it is, is put on its feet, or gets up; then its command goes on.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     character: Name = "human"
@@ -59,6 +63,7 @@ class CharacterSpec(BaseModel):
     pacing: Pacing = "realtime"
     seed: Seed = 0
     loop: LoopSettings | None = None
+    on_fall: OnFall = "stay"
 
 
 class CharacterSession:
@@ -82,6 +87,7 @@ class CharacterSession:
         self._runner: asyncio.Task[None] | None = None
         self._lock = asyncio.Lock()
         self._refusals = 0
+        self._down = False
 
     @property
     def state(self) -> StateFrame:
@@ -117,6 +123,8 @@ class CharacterSession:
 
     def _goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
         """What the newest command asks for: it may have come while a cycle was already under way."""
+        if view.fallen and self.spec.on_fall == "get_up":
+            return get_up_goal()
         return self._source(view, plan_tick)
 
     def set_command(self, command: Command) -> int:
@@ -261,6 +269,20 @@ class CharacterSession:
             raise MotionLoopError(str(self.reason)) from error
         self._refusals = 0 if cycle.plans else self._refusals
         self._take(cycle)
+        await self._after_fall(driver, cycle.state)
+
+    async def _after_fall(self, driver: Driver, state: StateFrame) -> None:
+        """See that a character goes on after a fall, as it was made to."""
+        fell = state.fallen and not self._down
+        changed, self._down = state.fallen != self._down, state.fallen
+        if fell and self.spec.on_fall == "reset":
+            self._state = await self.loop.reset()
+            self._down = False
+            await driver.drop_plan()
+            self.events.emit("reset", self._state.tick)
+        elif changed and self.spec.on_fall == "get_up":
+            driver.replan_now()
+            self.events.emit("getting_up" if fell else "stood_up", state.tick)
 
     def _refused(self, driver: Driver, error: MotionLoopError) -> None:
         """The planner would not, or could not, plan: stand instead. One that cannot even plan that has failed."""

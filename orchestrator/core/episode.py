@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Awaitable, Callable
 from dataclasses import asdict, dataclass
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
+from orchestrator.core.agenda import Agenda
 from orchestrator.core.drivers import Cycle, Driver, LockstepDriver, RealtimeDriver
 from orchestrator.core.events import EventLog
-from orchestrator.core.loop import CharacterLoop, plan_seed, view_of
+from orchestrator.core.loop import CharacterLoop, view_of
 from orchestrator.core.machine import (
     Action,
     MachineState,
@@ -22,6 +21,7 @@ from orchestrator.core.machine import (
     transition,
     with_limit,
 )
+from orchestrator.core.on_fall import OnFall, get_up_goal
 from orchestrator.core.scenes import SceneChoice
 from orchestrator.core.services import Services
 from orchestrator.core.settings import LOCKSTEP, REALTIME, LoopSettings
@@ -30,7 +30,6 @@ from shared.protocol.base import Name
 from shared.protocol.messages import TICK_HZ, CreateCharacter, Pacing, Seed, StateFrame
 from shared.protocol.rest import TaskResult
 from shared.scenes.schema import Scene
-from shared.tasks.factory import make_task
 from shared.tasks.growing import GrowingTrace
 from shared.tasks.interface import BodyView, PlanGoal, Task, Trace, Verdict
 from shared.tasks.rules import SAFE_TICKS, leaning, with_falls
@@ -46,6 +45,8 @@ class EpisodeSpec(BaseModel):
 
     Attributes:
         order: `random` shuffles the tasks by the seed.
+        on_fall: after a fall the task has failed, and the character is put on its feet, gets up (and is put on its feet
+            where it does not manage to), or stays down for the tasks that follow.
         loop: settings of the loop; None for the defaults of the pacing.
         time_limit_s: simulated seconds for all tasks together; None for the sum of theirs.
         heading_rad: which way the character faces at the start.
@@ -63,6 +64,7 @@ class EpisodeSpec(BaseModel):
     planner: Name | None = None
     tracker: Name | None = None
     loop: LoopSettings | None = None
+    on_fall: OnFall = "reset"
     heading_rad: Annotated[FiniteFloat, Field(ge=-100, le=100)] = 0.0
 
 
@@ -102,11 +104,6 @@ class _Running:
         return self.task.upright and len(self.seen) > 0 and leaning(self.seen.trace().pos_w_m[-1])
 
 
-def task_seed(seed: int, index: int) -> int:
-    """Seed of a task's own randomisation."""
-    return int.from_bytes(hashlib.sha256(f"{seed}/task/{index}".encode()).digest()[:8], "little") >> 1
-
-
 class EpisodeRunner:
     """Runs one episode to its end, whatever happens on the way; `run` never hangs, since every wait has a deadline.
 
@@ -137,10 +134,10 @@ class EpisodeRunner:
         self.loop = CharacterLoop(episode_id, services, settings, spec.seed, spec.planner)
         self._services = services
         self._on_cycle = on_cycle
-        self._order = self._task_order()
+        self._agenda = Agenda(spec.tasks, spec.order, spec.seed)
         self._machine = MachineState()
         self._running: _Running | None = None
-        self._next = 0
+        self._skipped = False
         self._driver: Driver | None = None
         self._cancelled = False
         self._reason: str | None = None
@@ -155,6 +152,24 @@ class EpisodeRunner:
     def cancel(self) -> None:
         """End the episode at the next cycle."""
         self._cancelled = True
+
+    def skip(self) -> int:
+        """End the task being performed as failed and go on with the next; returns its index.
+
+        Raises ConflictError when none is being performed.
+        """
+        if self._running is None or self.phase not in (Phase.ACTING, Phase.SETTLING):
+            raise ConflictError(f"no task is being performed, the episode is {self.phase}", field="id")
+        self._skipped = True
+        return self._running.index
+
+    def insert(self, task: TaskSpec, place: int) -> int:
+        """Add a task before what is `place`-th to come; returns its index. Raises ConflictError when it is over."""
+        if self._machine.over:
+            raise ConflictError(f"the episode is {self.phase}", field="id")
+        index = self._agenda.insert(task, place)
+        self.events.emit("task_inserted", self.tick, index=index, place=place, task=task.model_dump(mode="json"))
+        return index
 
     async def run(self) -> EpisodeOutcome:
         """Create the character, perform the tasks, say how it went. Never raises for what services do."""
@@ -223,6 +238,9 @@ class EpisodeRunner:
             self._reason = state.failure
             return Signal.PHYSICS_FAILED
         running = self._running
+        if self._skipped and running is not None and phase in (Phase.ACTING, Phase.SETTLING):
+            self._reason = "skipped"
+            return Signal.TASK_FAILED if phase is Phase.ACTING else Signal.SETTLED
         trace = running.trace() if performing and running is not None else None
         if performing and (state.fallen or (trace is not None and bool(trace.fallen.any()))):
             return Signal.FELL
@@ -260,13 +278,13 @@ class EpisodeRunner:
 
     async def _do(self, action: Action, signal: Signal, state: StateFrame | None) -> Signal | None:
         if action is Action.CHOOSE_TASK:
-            return Signal.TASK_CHOSEN if self._next < len(self._order) else Signal.TASKS_EXHAUSTED
+            return Signal.TASK_CHOSEN if len(self._agenda) else Signal.TASKS_EXHAUSTED
         if action is Action.BEGIN_TASK and state is not None:
             self._begin(state)
         elif action is Action.JUDGE_TASK:
             self._judge(signal)
         elif action is Action.RESET_CHARACTER:
-            await self._reset()
+            return await self._recover(signal)
         elif action is Action.REPLAN and self._driver is not None:
             self.events.emit("planner_back", self.tick)
             self._driver.replan_now()
@@ -275,9 +293,7 @@ class EpisodeRunner:
         return None
 
     def _begin(self, state: StateFrame) -> None:
-        index = self._order[self._next]
-        self._next += 1
-        task = make_task(self.spec.tasks[index], task_seed(self.spec.seed, index))
+        index, task = self._agenda.take()
         task.start(view_of(state))
         self._running = _Running(index, task, state.tick, GrowingTrace(state.tick + 1))
         if self._driver is not None:
@@ -288,17 +304,17 @@ class EpisodeRunner:
         running = self._running
         if running is None:
             return
-        self._running = None
+        self._running, skipped, self._skipped = None, self._skipped, False
         trace = running.trace()
         verdict = running.task.judge(trace) if len(trace) else Verdict(False, False, False, False, 0.0, {})
-        reason = None if verdict.strict else self._why_not(signal, verdict)
-        spec = self.spec.tasks[running.index]
+        reason = "skipped" if skipped else None if verdict.strict else self._why_not(signal, verdict)
+        spec = self._agenda.tasks[running.index]
         result = TaskResult(
             index=running.index,
             name=spec.name or running.task.label,
             type=running.task.kind,
             label=running.task.label,
-            success_strict=verdict.strict,
+            success_strict=verdict.strict and not skipped,
             success_paper=verdict.paper,
             success_code=verdict.code,
             fell=verdict.fell,
@@ -320,14 +336,25 @@ class EpisodeRunner:
             return "the motion does not show it"
         return self._reason or str(signal)
 
-    async def _reset(self) -> None:
+    async def _recover(self, signal: Signal) -> Signal | None:
+        """After a fall, and again when that took too long."""
+        if self.spec.on_fall == "stay":
+            return Signal.STOOD_UP
+        if self.spec.on_fall == "get_up" and signal is Signal.FELL:
+            self.events.emit("getting_up", self.tick)
+            if self._driver is not None:
+                self._driver.replan_now()
+            return None
         await self.loop.reset()
         if self._driver is not None:
             await self._driver.drop_plan()
         self.events.emit("reset", self.tick)
+        return None
 
     def _goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
-        return PlanGoal(text=STAND_TEXT) if self._running is None else self._running.task.goal(view, plan_tick)
+        if self._running is not None:
+            return self._running.task.goal(view, plan_tick)
+        return get_up_goal() if view.fallen and self.spec.on_fall == "get_up" else PlanGoal(text=STAND_TEXT)
 
     def _report(self, state: StateFrame) -> None:
         x, y = (float(v) for v in state.body_pos_w_m[0, :2])
@@ -339,14 +366,7 @@ class EpisodeRunner:
     def _limit_s(self) -> float:
         if self.spec.time_limit_s is not None:
             return self.spec.time_limit_s
-        # Room for the settling second, a reset and an outage of the planner after each task.
-        return sum(make_task(task, 0).time_limit_s + 10.0 for task in self.spec.tasks) + 120.0
-
-    def _task_order(self) -> list[int]:
-        order = list(range(len(self.spec.tasks)))
-        if self.spec.order == "random":
-            np.random.default_rng(plan_seed(self.spec.seed, -1)).shuffle(order)
-        return order
+        return self._agenda.longest_s
 
     def _outcome(self) -> EpisodeOutcome:
         phase = self._machine.phase
@@ -358,7 +378,7 @@ class EpisodeRunner:
             status = "failed"
         else:
             raise ConflictError(f"the episode is still {phase}")
-        done = len(self.results) == len(self.spec.tasks) and all(r.success_strict for r in self.results)
+        done = len(self.results) == len(self._agenda.tasks) and all(r.success_strict for r in self.results)
         return EpisodeOutcome(
             status=status,
             reason=None if status == "finished" else self._reason,

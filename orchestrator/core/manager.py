@@ -146,6 +146,14 @@ class Orchestrator:
         """The episode, if it runs or has just ended."""
         return self.episodes.get(episode_id)
 
+    async def running_episode(self, episode_id: str) -> EpisodeRunner:
+        """An episode that runs; raises NotFoundError, or ConflictError for one that is over."""
+        live = self.episodes.get(episode_id)
+        if live is None or live.outcome is not None:
+            row = await self.reader.episode(episode_id)
+            raise ConflictError(f"the episode is {row['status']}", field="id", allowed="one that runs")
+        return live.runner
+
     async def cancel_or_delete_episode(self, episode_id: str) -> str:
         """Cancel a running episode (`cancelled`), or delete one that is over (`deleted`)."""
         live = self.episodes.get(episode_id)

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from orchestrator.core.agenda import task_seed
 from orchestrator.core.command import Command, CommandGoal
 from orchestrator.core.drivers import LockstepDriver
-from orchestrator.core.episode import task_seed
 from orchestrator.core.loop import CharacterLoop, GoalSource
 from orchestrator.core.services import Services
 from orchestrator.core.settings import LOCKSTEP, LoopSettings

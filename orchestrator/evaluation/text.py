@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from orchestrator.core.agenda import task_seed
 from orchestrator.core.command import Command, CommandGoal
 from orchestrator.core.drivers import LockstepDriver
-from orchestrator.core.episode import task_seed
 from orchestrator.core.loop import CharacterLoop
 from orchestrator.core.services import Services
 from orchestrator.core.settings import LOCKSTEP, LoopSettings

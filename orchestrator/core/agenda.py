@@ -1,0 +1,64 @@
+"""The tasks of an episode that are still to come: their order, and changes to it while the episode runs."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from orchestrator.core.loop import plan_seed
+from shared.errors import ConflictError
+from shared.tasks.factory import make_task
+from shared.tasks.interface import Task
+from shared.tasks.specs import TaskSpec
+
+MAX_TASKS = 500
+
+
+def task_seed(seed: int, index: int) -> int:
+    """Seed of a task's own randomisation."""
+    return int.from_bytes(hashlib.sha256(f"{seed}/task/{index}".encode()).digest()[:8], "little") >> 1
+
+
+class Agenda:
+    """What is to be done, in order.
+
+    Args:
+        tasks: as given; a task keeps its index whatever the order is.
+        order: `random` shuffles them by the seed.
+        seed: of the episode.
+    """
+
+    def __init__(self, tasks: Sequence[TaskSpec], order: Literal["sequence", "random"], seed: int):
+        self.tasks: list[TaskSpec] = list(tasks)
+        self._seed = seed
+        self._to_come = list(range(len(self.tasks)))
+        if order == "random":
+            np.random.default_rng(plan_seed(seed, -1)).shuffle(self._to_come)
+
+    def __len__(self) -> int:
+        """How many are still to come."""
+        return len(self._to_come)
+
+    def take(self) -> tuple[int, Task]:
+        """The next one: its index and the task, ready to be started."""
+        index = self._to_come.pop(0)
+        return index, make_task(self.tasks[index], task_seed(self._seed, index))
+
+    def insert(self, task: TaskSpec, place: int) -> int:
+        """Add one before what is `place`-th to come (0: next, beyond the end: last); returns its index.
+
+        Raises ConflictError when there are too many.
+        """
+        if len(self.tasks) >= MAX_TASKS:
+            raise ConflictError(f"it has {len(self.tasks)} tasks already", field="task", allowed=f"{MAX_TASKS}")
+        self.tasks.append(task)
+        self._to_come.insert(place, len(self.tasks) - 1)
+        return len(self.tasks) - 1
+
+    @property
+    def longest_s(self) -> float:
+        """Simulated time for all: theirs, and room for settling, a reset and an outage of the planner after each."""
+        return sum(make_task(task, 0).time_limit_s + 10.0 for task in self.tasks) + 120.0
