@@ -104,5 +104,5 @@ def test_what_becomes_of_a_character_that_falls(stack: Stack, on_fall: str) -> N
     assert ("reset" in types) == (on_fall == "reset")
     assert ("getting_up" in types) == (on_fall == "get_up")
     assert (GET_UP_TEXT in texts) == (on_fall == "get_up")
-    if on_fall != "reset":
+    if on_fall == "stay":
         assert lies
