@@ -14,7 +14,7 @@ from shared.motion.rotations import matrix_about_z, matrix_from_rotvec, normaliz
 from shared.motion.skeleton import CANONICAL
 
 FPS = 30.0
-_SWAY_RAD = {"spine1": 0.008, "spine2": 0.006, "neck": 0.035, "left_shoulder": 0.018, "right_shoulder": 0.018,
+SWAY_RAD = {"spine1": 0.008, "spine2": 0.006, "neck": 0.035, "left_shoulder": 0.018, "right_shoulder": 0.018,
              "left_elbow": 0.03, "right_elbow": 0.03}  # fmt: skip
 
 
@@ -40,7 +40,7 @@ def wander(rng: np.random.Generator, frames: int, channels: int, low_hz: float =
 def idle(pose: Array, frames: int, rng: np.random.Generator, sway: float = 1.0) -> Array:
     """(frames, 22, 3) a stand in about the pose (22, 3): the body sways and breathes over planted feet."""
     local = np.repeat(local_rotations(pose[None]), frames, axis=0)
-    for name, size in _SWAY_RAD.items():
+    for name, size in SWAY_RAD.items():
         local[:, J[name]] = local[:, J[name]] @ matrix_from_rotvec(sway * size * wander(rng, frames, 3))
     shift = sway * wander(rng, frames, 3) * np.array([0.007, 0.009, 0.001])
     yaw = sway * 0.012 * wander(rng, frames, 1)[:, 0]
@@ -73,7 +73,7 @@ def _plant(p: Array, ankles: dict[str, Array], feet: dict[str, Array]) -> Array:
     return out
 
 
-def _ease(x: Array) -> Array:
+def ease(x: Array) -> Array:
     x = np.clip(x, 0.0, 1.0)
     return np.asarray(x**3 * (10 - 15 * x + 6 * x * x))
 
@@ -113,9 +113,9 @@ def turn_on_spot(
         # The foot is off the ground in the middle four fifths of its step.
         air = np.clip((x - 0.1) / 0.8, 0.0, 1.0)
         goal = angle_rad * (k + 1) / steps
-        yaw[side][a : a + step_frames] = yaw[side][a - 1] + (goal - yaw[side][a - 1]) * _ease(air)
+        yaw[side][a : a + step_frames] = yaw[side][a - 1] + (goal - yaw[side][a - 1]) * ease(air)
         yaw[side][a + step_frames :] = goal
-        height[side][a : a + step_frames] = lift * np.sin(np.pi * _ease(air)) ** 2
+        height[side][a : a + step_frames] = lift * np.sin(np.pi * ease(air)) ** 2
         weight[a : a + step_frames] = 1.0 if side == "right" else -1.0
     weight = gaussian_filter1d(weight, 3.5, mode="nearest")
     body = gaussian_filter1d(0.5 * (yaw["left"] + yaw["right"]), 3.0, mode="nearest")
@@ -130,7 +130,7 @@ def turn_on_spot(
             axis=-1,
         )
 
-    move = centre + drift * _ease(body[:, None] / angle_rad)
+    move = centre + drift * ease(body[:, None] / angle_rad)
     ankles, feet = {}, {}
     for side in SIDES:
         xy = move + about(stance[side], yaw[side])
@@ -181,7 +181,7 @@ def wave(p: Array, side: str, rng: np.random.Generator, start_s: float, stop_s: 
     t = np.arange(len(p)) / FPS
     # One way of waving, a little varied: of many rates and phases a planner learns the mean, an arm that is held up.
     rise, fall = rng.uniform(0.55, 0.65), rng.uniform(0.55, 0.8)
-    w = _ease((t - start_s) / rise) * (1 - _ease((t - stop_s) / fall))
+    w = ease((t - start_s) / rise) * (1 - ease((t - stop_s) / fall))
     forward, left, up = _chest_axes(p)
     out = left if side == "left" else -left
     elevation, azimuth = np.radians(rng.uniform(-12, 18)), np.radians(rng.uniform(15, 45))
