@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from shared.data.label import Label, locomotion_label, path_speed, side_of, turned_rad
+from shared.data.make_floor import floor, lying_ends
 from shared.data.make_gaits import change_gait, curve, gait, hastened, straightened
 from shared.data.make_jump import jump_on_spot
 from shared.data.make_paths import (
@@ -23,6 +24,7 @@ from shared.data.make_paths import (
     yaw_pulse,
 )
 from shared.data.make_stand import idle, quiet_frames, turn_on_spot, wave
+from shared.data.make_strikes import blows, strikes
 from shared.data.make_tasks import rises, sits, steps, walks_back, walks_to_seats, ways
 from shared.data.maker import Maker
 from shared.data.pieces import SHORTEST, Piece, Report
@@ -37,7 +39,7 @@ _JOG_MPS = 2.1
 
 COUNTS = {
     "idle": 60, "turn": 130, "wave": 100, "walk_wave": 40, "start": 60, "stop": 60, "walk_turn": 60, "run_mix": 120,
-    "jump": 60, "step": 210, "walk_back": 50, "sit": 120, "walk_sit": 50, "rise": 130,
+    "jump": 60, "step": 210, "walk_back": 50, "sit": 120, "walk_sit": 50, "rise": 130, "strike": 260, "get_up": 120,
 }  # fmt: skip
 """Pieces of each kind made for training; the held-out split gets a tenth."""
 
@@ -284,6 +286,7 @@ def made_pieces(
         maker = _maker(split, pieces, rng, report)
         n = {k: max(1, round(c * share)) for k, c in COUNTS.items()}
         down, up = ways(pieces_of_split(pieces, split), "sit"), ways(pieces_of_split(pieces, split), "rise")
+        hits, lying = blows(pieces_of_split(pieces, split)), lying_ends(pieces_of_split(pieces, split))
         stages: list[tuple[str, bool, Callable[[], None]]] = [
             ("bent paths", bool(maker.walks), partial(bends, maker)),
             ("starts", bool(maker.walks), partial(begins, maker, n["start"])),
@@ -296,6 +299,8 @@ def made_pieces(
             ("walks backward", bool(maker.walks), partial(walks_back, maker, n["walk_back"])),
             ("steps", bool(maker.stands), partial(steps, maker, n["step"])),
             ("waves", bool(maker.stands and maker.walks), partial(waves, maker, n["wave"], n["walk_wave"])),
+            ("strikes", bool(maker.stands and hits), partial(strikes, maker, hits, n["strike"])),
+            ("getting up", bool(lying), partial(floor, maker, lying, n["get_up"])),
             ("sits", bool(maker.stands and down), partial(sits, maker, down, n["sit"])),
             ("walks to seats", bool(down), partial(walks_to_seats, maker, down, n["walk_sit"])),
             ("rises", bool(maker.stands and up), partial(rises, maker, up, n["rise"])),

@@ -16,7 +16,7 @@ from shared.data.props import PELVIS_OVER_SEAT_M, Seat
 from shared.data.splice import local_rotations
 from shared.motion.body import SIDES, SOLE_UNDER_ANKLE_M, Array, J, heading_rad
 from shared.motion.resampling import resample
-from shared.motion.rotations import matrix_about_z
+from shared.motion.rotations import matrix_about_z, normalize
 from shared.motion.skeleton import CANONICAL
 
 FPS = 30.0
@@ -196,7 +196,15 @@ def joined(a: Array, b: Array, frames: int = 8) -> Array:
     mixed = blended(local_b, np.broadcast_to(local_a, local_b.shape), w)
     root = b[: len(w), 0] + w[:, None] * (a[-1, 0] - b[0, 0])
     ankles = {s: b[: len(w), J[f"{s}_ankle"]] + w[:, None] * (a[-1] - b[0])[J[f"{s}_ankle"]] for s in SIDES}
-    feet = {s: b[: len(w), J[f"{s}_foot"]] - b[: len(w), J[f"{s}_ankle"]] for s in SIDES}
+    feet = {}
+    for s in SIDES:
+        ankle, foot = J[f"{s}_ankle"], J[f"{s}_foot"]
+        toe = (
+            b[: len(w), foot]
+            - b[: len(w), ankle]
+            + w[:, None] * ((a[-1, foot] - a[-1, ankle]) - (b[0, foot] - b[0, ankle]))
+        )
+        feet[s] = CANONICAL.bone_lengths_m[foot] * normalize(toe)
     return np.concatenate([a, on_feet(mixed, root, ankles, feet, lower=False), b[len(w) :]])
 
 
