@@ -197,8 +197,11 @@ def build_prefix(
     parts, speeds = [simulated], [np.asarray(velocities_w_mps, dtype=np.float64)]
     if gap:
         now = simulated[-1]
-        if buffer.has(last_simulated_frame):
-            planned = buffer.get(last_simulated_frame, end_frame + 1)
+        if buffer.first_frame <= end_frame and last_simulated_frame < buffer.end_frame:
+            # A plan that has still to begin counts too: until then its first frame is where the body is going.
+            first = max(last_simulated_frame, buffer.first_frame)
+            planned = buffer.get(first, end_frame + 1)
+            planned = np.concatenate([np.repeat(planned[:1], first - last_simulated_frame, axis=0), planned])
             weight = error_decay(np.arange(1, gap + 1) / buffer.fps, decay_s)
             rest = planned[1:] + weight[:, None, None] * (now - planned[0])
         else:

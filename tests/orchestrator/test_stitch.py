@@ -134,6 +134,19 @@ def test_after_the_decay_the_prefix_is_the_old_plan() -> None:
     np.testing.assert_allclose(prefix.positions_w_m[-2:], walk(111, 113))
 
 
+@given(begins=st.integers(101, 110), gap=st.integers(1, 18))
+def test_a_plan_that_has_still_to_begin_is_what_the_next_goes_on_from(begins: int, gap: int) -> None:
+    """Standing at frame 100; a walk is to begin at a later frame: the prefix of the plan after it walks, too."""
+    still = np.repeat(walk(0, 1), 22, axis=0)
+    buffer = PlanBuffer()
+    buffer.put(begins, walk(1, 60))  # it begins a step from where the body stands
+    prefix = joined(still, 100, 100 + gap, buffer)
+    way = np.maximum(np.arange(101, 101 + gap) - begins + 1, 0) * SPEED_MPS / 20
+    off = prefix.positions_w_m[-gap:, 0, 0] - way
+    assert np.abs(off).max() <= SPEED_MPS / 20 + 1e-9, "at most the first step is made early"
+    assert np.abs(np.diff(prefix.positions_w_m[:, 0, 0])).max() < 1.3 * SPEED_MPS / 20
+
+
 def test_without_a_plan_the_last_pose_is_held() -> None:
     prefix = joined(walk(79, 101), 100, 104, PlanBuffer())
     np.testing.assert_allclose(prefix.positions_w_m[-4:], np.repeat(walk(100, 101), 4, axis=0))
