@@ -85,3 +85,16 @@ def test_a_lost_file_and_the_future_are_clear_errors(tmp_path: Path) -> None:
     with pytest.raises(RecordingLostError, match="cannot be read"):
         recorder.read(0, 100)
     assert recorder.read(95, 100)["x"].shape == (5, 3)
+
+
+@pytest.mark.parametrize(("start", "stop", "stride"), [(0, 21, 4), (8, 30, 4), (3, 29, 1), (-12, 17, 4), (6, 6, 4)])
+def test_sums_are_over_the_samples_up_to_each_row(tmp_path: Path, start: int, stop: int, stride: int) -> None:
+    recorder = Recorder(tmp_path / "spool", chunk_samples=7, memory_chunks=1)
+    values = np.arange(1.0, 31.0).reshape(30, 1)
+    for first in range(0, 30, 3):
+        recorder.append({"x": values[first : first + 3], "other": np.zeros((3, 2))})
+    wanted = [
+        [values[max(0, row - stride + 1) : max(0, row + 1)].sum()] if stride > 1 else values[max(row, 0)]
+        for row in range(start, stop, stride)
+    ]
+    np.testing.assert_array_equal(recorder.read_sums("x", start, stop, stride), np.reshape(wanted, (-1, 1)))

@@ -124,6 +124,9 @@ def test_an_object_is_moved_while_it_runs(client: ServiceClient) -> None:
     moved = SetObject(name="red", position_w_m=(0.0, 3.0, 1.0), linvel_w_mps=(1.0, 0.0, 0.0))
     frame = client.ask(moved, StateFrame, "move")
     assert frame.tick == 3
+    log = ticks(client, "move", 0, 4, 30)
+    assert frame.contact_impulse_ns.sum() > 10.0, "what was touched in the tick was touched all the same"
+    np.testing.assert_array_equal(log.contact_impulse_ns[log.contact_sample == 3], frame.contact_impulse_ns)
     np.testing.assert_allclose(frame.object_pos_w_m[1], [0, 3, 1])
     np.testing.assert_allclose(frame.object_linvel_w_mps[1], [1, 0, 0])
     np.testing.assert_allclose(ticks(client, "move", 3, 4, 30).object_pose_w[0, 1, :3], [0, 3, 1], atol=1e-6)

@@ -53,5 +53,6 @@ class FloorShadows:
             mujoco.mjv_initGeom(
                 shadow, geom.type, geom.size.astype(np.float64), pos, (self._projection @ geom.mat).ravel(), SHADOW_RGBA
             )
+            shadow.size[:] = geom.size  # already as the scene has it: of a cylinder radius, radius, half length
             shadow.dataid, shadow.specular, shadow.category = geom.dataid, 0.0, geom.category
             scene.ngeom += 1

@@ -35,7 +35,7 @@ from shared.protocol.messages import (
 from tracker_service.service.dumps import dump_state
 from tracker_service.service.log_tail import pack_tail, split_buffers
 from tracker_service.service.plan_check import check_plan, late_reason
-from tracker_service.service.replies import state_frame, tick_range
+from tracker_service.service.replies import check_range, state_frame, tick_range
 from tracker_service.service.settings import TrackerServiceSettings
 from tracker_service.simulation.character import SimulatedCharacter
 from tracker_service.simulation.recorder import Recorder, Samples, sample_stride
@@ -43,7 +43,6 @@ from tracker_service.simulation.recorder import Recorder, Samples, sample_stride
 SAMPLES_A_TICK = LOG_HZ // TICK_HZ
 TAIL_SAMPLES = 3 * LOG_HZ
 """Samples of the log that travel in a snapshot: three seconds, so that a restored character has its prefix."""
-MAX_ROWS = 20_000
 MAX_LOOK_TICKS = 30 * TICK_HZ
 Xy = tuple[float, float]
 log = logging.getLogger(__name__)
@@ -213,7 +212,10 @@ class HostedCharacter:
             self._simulation.set_object(
                 message.name, message.position_w_m, message.quat_w, message.linvel_w_mps, message.angvel_w_radps
             )
-            self._log_jump()
+            kept = self._recorder.read(self._recorder.next_sample - 1, self._recorder.next_sample)
+            of_the_tick = self._last["contact_impulse_ns"]
+            self._log_jump({"contact_impulse_ns": kept["contact_impulse_ns"]})
+            self._last["contact_impulse_ns"] = of_the_tick
             return self.frame()
 
     def reset(self, xy_w_m: Xy | None, heading_rad: float | None) -> StateFrame:
@@ -264,19 +266,7 @@ class HostedCharacter:
         stride = sample_stride(message.rate_hz)
         now, objects = self.tick, self._simulation.scene.object_names
         start, stop = message.start_tick * SAMPLES_A_TICK, message.stop_tick * SAMPLES_A_TICK
-        if message.stop_tick > now + 1:
-            raise InvalidInputError(
-                f"tick {message.stop_tick - 1} has not happened yet", field="stop_tick", allowed=f"<= {now + 1}"
-            )
-        if message.start_tick > message.stop_tick:
-            raise InvalidInputError(
-                f"start_tick {message.start_tick} is after stop_tick", field="start_tick",
-                allowed=f"<= {message.stop_tick}",
-            )  # fmt: skip
-        if (stop - start) // stride > MAX_ROWS:
-            raise InvalidInputError(
-                f"{(stop - start) // stride} samples in one range", field="stop_tick", allowed=f"{MAX_ROWS} samples"
-            )
+        check_range(message, now, stride)
         # A realtime tick counts up before its samples are in the log: what is not there yet is not read.
         there = min(now * SAMPLES_A_TICK + 1, self._recorder.next_sample)
         samples = self._recorder.read(start, min(stop, there), stride)
@@ -374,11 +364,15 @@ class HostedCharacter:
         self._simulation.reset(xy_w_m, heading_rad)
         self._log_jump()
 
-    def _log_jump(self) -> None:
-        """Log the state after a reset: it replaces the sample of its tick and fills ticks the clock jumped over."""
+    def _log_jump(self, kept: Samples | None = None) -> None:
+        """Log the state after a reset: it replaces the sample of its tick and fills ticks the clock jumped over.
+
+        Args:
+            kept: arrays (1, ...) of the replaced sample that still hold.
+        """
         self._recorder.truncate(min(self._recorder.next_sample, self.tick * SAMPLES_A_TICK))
         missing = self.tick * SAMPLES_A_TICK + 1 - self._recorder.next_sample
-        sample = self._simulation.sample()
+        sample = {**self._simulation.sample(), **(kept or {})}
         self._log({name: np.repeat(array, missing, axis=0) for name, array in sample.items()})
         self._last_good = self._simulation.snapshot()
 

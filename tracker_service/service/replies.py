@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from shared.protocol.messages import TICK_HZ, GetTicks, Pacing, StateFrame, TickRange
+from shared.errors import InvalidInputError
+from shared.protocol.messages import LOG_HZ, TICK_HZ, GetTicks, Pacing, StateFrame, TickRange
 from tracker_service.simulation.character import SimulatedCharacter
 from tracker_service.simulation.contacts import FLOOR_COLUMN
 from tracker_service.simulation.recorder import Samples
 
+MAX_ROWS = 20_000
 Impulses = npt.NDArray[Any]
 Ints = npt.NDArray[np.int64]
 
@@ -61,6 +63,26 @@ def state_frame(
         missed_ticks=missed_ticks,
         failure=failure,
     )
+
+
+def check_range(message: GetTicks, now: int, stride: int) -> None:
+    """Raise InvalidInputError for a range of the log that has not happened by tick `now`, or is too long.
+
+    Args:
+        stride: samples of the log from one row to the next.
+    """
+    rows = (message.stop_tick - message.start_tick) * (LOG_HZ // TICK_HZ) // stride
+    if message.stop_tick > now + 1:
+        raise InvalidInputError(
+            f"tick {message.stop_tick - 1} has not happened yet", field="stop_tick", allowed=f"<= {now + 1}"
+        )
+    if message.start_tick > message.stop_tick:
+        raise InvalidInputError(
+            f"start_tick {message.start_tick} is after stop_tick", field="start_tick",
+            allowed=f"<= {message.stop_tick}",
+        )  # fmt: skip
+    if rows > MAX_ROWS:
+        raise InvalidInputError(f"{rows} samples in one range", field="stop_tick", allowed=f"{MAX_ROWS} samples")
 
 
 def tick_range(message: GetTicks, samples: Samples, impulses: Impulses, objects: Sequence[str]) -> TickRange:

@@ -106,8 +106,8 @@ class Recorder:
             if self._open_count >= self.chunk_samples:
                 self._seal()
 
-    def read(self, start: int, stop: int, stride: int = 1) -> Samples:
-        """Samples start, start + stride, ... < stop in order, as arrays (N, ...).
+    def read(self, start: int, stop: int, stride: int = 1, only: str | None = None) -> Samples:
+        """Samples start, start + stride, ... < stop in order, as arrays (N, ...); all of them, or `only` one.
 
         Indices before the first sample read as the first one (a character stood still before it existed). Rows
         written under another layout (objects of an earlier scene) are cut or zero-padded to the newest layout read.
@@ -130,7 +130,8 @@ class Recorder:
         parts: list[Samples] = []
         for chunk in chunks:
             rows = wanted[(wanted >= chunk.first) & (wanted < chunk.first + chunk.count)] - chunk.first
-            parts.append({name: array[rows] for name, array in self._load(chunk).items()})
+            arrays = self._load(chunk)
+            parts.append({name: arrays[name][rows] for name in (arrays if only is None else (only,))})
         template = parts[-1]
         return {name: np.concatenate([_fit(part[name], template[name]) for part in parts]) for name in template}
 
@@ -142,9 +143,9 @@ class Recorder:
         """
         rows = range(start, stop, stride)
         if len(rows) == 0 or stride == 1:
-            return self.read(start, stop, stride)[name]
+            return self.read(start, stop, stride, name)[name]
         first = rows[0] - stride + 1
-        every = self.read(first, rows[-1] + 1)[name]
+        every = self.read(first, rows[-1] + 1, only=name)[name]
         # Times before the first sample read as that sample, which must count once.
         every = np.where(_column(np.arange(first, rows[-1] + 1) >= self.first_sample, every), every, 0)
         return np.asarray(every.reshape(len(rows), stride, *every.shape[1:]).sum(axis=1))
