@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from orchestrator.core.asking import keyframe_arrays, obstacle_arrays
+from orchestrator.core.chain import chained, following
 from orchestrator.core.services import Reply, Services, Slot
 from orchestrator.core.settings import LoopSettings
 from orchestrator.core.stitch import PlanBuffer, build_prefix, log_window, since
@@ -216,18 +217,15 @@ class CharacterLoop:
         request = await self._request(spec, goal, now_tick, start_tick)
         try:
             with traced(self.trace_id):
-                plan = await self._services.planner.ask(Plan, request, self.character_id, self.settings.plan_timeout_s)
+                plan = part = await self._planned(request)
+                for _ in range(self.settings.chained_plans - 1):
+                    request = following(request, part, plan_seed(request.seed, 1))
+                    part = await self._planned(request)
+                    plan = chained(plan, part)
         except InvalidInputError as error:
             if self.planner_spec() == spec:
                 raise
             raise UnavailableError(f"the planner has become another one: {error.message}") from error
-        frames = len(np.asarray(plan.positions_w_m))
-        if plan.start_tick != start_tick or plan.fps != request.fps or frames < 1:
-            raise MalformedMessageError(
-                f"a plan of {frames} frames at {plan.fps} fps from tick {plan.start_tick} came",
-                field="start_tick",
-                allowed=f"at least one frame at {request.fps} fps from tick {start_tick}",
-            )
         self.plans_made += 1
         low = asks_low(plan.understood or goal.text) if goal.may_be_low is None else goal.may_be_low
         self._may_be_low = (start_tick, low)
@@ -235,6 +233,17 @@ class CharacterLoop:
             return plan
         own = self._build.from_canonical(plan.positions_w_m)
         return plan.model_copy(update={"positions_w_m": own.astype("<f4"), "skeleton": self._build.skeleton_id})
+
+    async def _planned(self, request: PlanRequest) -> Plan:
+        plan = await self._services.planner.ask(Plan, request, self.character_id, self.settings.plan_timeout_s)
+        frames = len(np.asarray(plan.positions_w_m))
+        if plan.start_tick != request.start_tick or plan.fps != request.fps or frames < 1:
+            raise MalformedMessageError(
+                f"a plan of {frames} frames at {plan.fps} fps from tick {plan.start_tick} came",
+                field="start_tick",
+                allowed=f"at least one frame at {request.fps} fps from tick {request.start_tick}",
+            )
+        return plan
 
     async def track(self, plan: Plan) -> TrackReply:
         """Hand a plan to the tracker; an accepted one enters the buffer, the old one ends where it starts."""
@@ -359,7 +368,7 @@ class CharacterLoop:
         if spec.replan_frames is not None:
             wanted = spec.replan_frames * TICK_HZ // spec.fps
         spacing = start_spacing(spec.fps)
-        lasts = self._horizon_frames(spec) * TICK_HZ // spec.fps
+        lasts = self._horizon_frames(spec) * self.settings.chained_plans * TICK_HZ // spec.fps
         return max(min(wanted, lasts) // spacing, 1) * spacing
 
     def _horizon_frames(self, spec: PlannerSpec) -> int:

@@ -19,6 +19,7 @@ class LoopSettings(BaseModel):
         least_ticks: the least that a plan runs before one for a new command takes over (see `core.pacing`).
         plan_lead_ticks: a plan is requested so many ticks ahead of its start; 0 plans from the present state.
         horizon_frames: length of a plan at 20 fps.
+        chained_plans: so many plans, each going on from the end of the one before, are asked for and performed as one.
         error_decay_s: time in which the tracking error added to the old plan's rest dies out.
         guidance: classifier-free guidance for commands that name none; None for the planner's own default.
         plan_timeout_s, tracker_timeout_s: deadline of one request.
@@ -31,6 +32,7 @@ class LoopSettings(BaseModel):
     least_ticks: Annotated[int, Field(ge=3, le=60, multiple_of=3)] = 9
     plan_lead_ticks: Annotated[int, Field(ge=0, le=60)] = 0
     horizon_frames: Annotated[int, Field(ge=4, le=200)] = 40
+    chained_plans: Annotated[int, Field(ge=1, le=4)] = 1
     error_decay_s: Annotated[FiniteFloat, Field(gt=0, le=5)] = 0.5
     guidance: Annotated[FiniteFloat, Field(ge=0, le=20)] | None = None
     plan_timeout_s: Annotated[FiniteFloat, Field(gt=0, le=600)] = 30.0
@@ -45,6 +47,8 @@ VARIANTS: dict[str, LoopSettings] = {
     "open_loop": LoopSettings(mode="open_loop"),
     "paper": LoopSettings(replan_ticks=60, text_replan_ticks=60),
     "short": LoopSettings(replan_ticks=15, text_replan_ticks=15, horizon_frames=10),
-    "long": LoopSettings(replan_ticks=60, text_replan_ticks=60, horizon_frames=80),
+    "long": LoopSettings(replan_ticks=120, text_replan_ticks=120, chained_plans=2),
 }
-"""Loop variants by the names of DESIGN 8; `paper` is the blocking loop of the paper."""
+"""Loop variants by the names of DESIGN 8. `paper` is the paper's blocking loop: a plan of 40 frames, performed to its
+end before the body is looked at again. `short` looks at it four times as often, with plans of 10 frames; `long` half as
+often, with two plans of 40 in a chain."""
