@@ -15,7 +15,7 @@ from orchestrator.core.drivers import Cycle, Driver, LockstepDriver, RealtimeDri
 from orchestrator.core.events import EventLog
 from orchestrator.core.fanout import Fanout
 from orchestrator.core.loop import CharacterLoop, view_of
-from orchestrator.core.on_fall import OnFall, get_up_goal
+from orchestrator.core.on_fall import Down, OnFall, get_up_goal
 from orchestrator.core.reading import NearestSentences, read_command
 from orchestrator.core.scenes import SceneChoice, name_of
 from orchestrator.core.services import Services
@@ -87,7 +87,8 @@ class CharacterSession:
         self._runner: asyncio.Task[None] | None = None
         self._lock = asyncio.Lock()
         self._refusals = 0
-        self._down = False
+        self._down = Down()
+        self._was_down = False
 
     @property
     def state(self) -> StateFrame:
@@ -123,7 +124,7 @@ class CharacterSession:
 
     def _goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
         """What the newest command asks for: it may have come while a cycle was already under way."""
-        if view.fallen and self.spec.on_fall == "get_up":
+        if self.spec.on_fall == "get_up" and self._down.update(view):
             return get_up_goal()
         return self._source(view, plan_tick)
 
@@ -273,14 +274,16 @@ class CharacterSession:
 
     async def _after_fall(self, driver: Driver, state: StateFrame) -> None:
         """See that a character goes on after a fall, as it was made to."""
-        fell = state.fallen and not self._down
-        changed, self._down = state.fallen != self._down, state.fallen
+        was = self._was_down
+        self._was_down = down = self._down.update(view_of(state))
+        fell = down and not was
         if fell and self.spec.on_fall == "reset":
             self._state = await self.loop.reset()
-            self._down = False
+            self._down.clear()
+            self._was_down = False
             await driver.drop_plan()
             self.events.emit("reset", self._state.tick)
-        elif changed and self.spec.on_fall == "get_up":
+        elif down != was and self.spec.on_fall == "get_up":
             driver.replan_now()
             self.events.emit("getting_up" if fell else "stood_up", state.tick)
 

@@ -21,7 +21,7 @@ from orchestrator.core.machine import (
     transition,
     with_limit,
 )
-from orchestrator.core.on_fall import OnFall, get_up_goal
+from orchestrator.core.on_fall import Down, OnFall, get_up_goal
 from orchestrator.core.scenes import SceneChoice
 from orchestrator.core.services import Services
 from orchestrator.core.settings import LOCKSTEP, REALTIME, LoopSettings
@@ -138,6 +138,7 @@ class EpisodeRunner:
         self._machine = MachineState()
         self._running: _Running | None = None
         self._skipped = False
+        self._down = Down()
         self._driver: Driver | None = None
         self._cancelled = False
         self._reason: str | None = None
@@ -260,7 +261,7 @@ class EpisodeRunner:
         elapsed = state.tick - self._machine.entered_tick
         if phase is Phase.SETTLING and elapsed > SAFE_TICKS and not (running is not None and running.leaning):
             return Signal.SETTLED
-        if phase is Phase.RECOVERING and not state.fallen and elapsed >= STOOD_UP_TICKS:
+        if phase is Phase.RECOVERING and not self._down.update(view_of(state)) and elapsed >= STOOD_UP_TICKS:
             return Signal.STOOD_UP
         return Signal.TIMED_OUT if timed_out(self._machine, state.tick) else None
 
@@ -354,7 +355,8 @@ class EpisodeRunner:
     def _goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
         if self._running is not None:
             return self._running.task.goal(view, plan_tick)
-        return get_up_goal() if view.fallen and self.spec.on_fall == "get_up" else PlanGoal(text=STAND_TEXT)
+        down = self.spec.on_fall == "get_up" and self._down.update(view)
+        return get_up_goal() if down else PlanGoal(text=STAND_TEXT)
 
     def _report(self, state: StateFrame) -> None:
         x, y = (float(v) for v in state.body_pos_w_m[0, :2])

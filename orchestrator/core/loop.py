@@ -213,7 +213,7 @@ class CharacterLoop:
 
         The prefix is what was simulated up to now and then the rest of the old plan (DESIGN 6).
         """
-        spec = self.planner_spec()
+        spec = self.planner_spec(goal.planner)
         request = await self._request(spec, goal, now_tick, start_tick)
         try:
             with traced(self.trace_id):
@@ -223,7 +223,7 @@ class CharacterLoop:
                     part = await self._planned(request)
                     plan = chained(plan, part)
         except InvalidInputError as error:
-            if self.planner_spec() == spec:
+            if self.planner_spec(goal.planner) == spec:
                 raise
             raise UnavailableError(f"the planner has become another one: {error.message}") from error
         self.plans_made += 1
@@ -338,8 +338,12 @@ class CharacterLoop:
             }
         )
 
-    def planner_spec(self) -> PlannerSpec:
+    def planner_spec(self, wanted: str | None = None) -> PlannerSpec:
         """What the planner that the next plan comes from has declared.
+
+        Args:
+            wanted: plug-in that a goal asks for; it is taken where the service has it at the rate of the character's
+                own planner, so that its plans start at the same ticks.
 
         Raises InvalidInputError for a plug-in that the service does not have.
         """
@@ -354,7 +358,12 @@ class CharacterLoop:
                 field="planner",
                 allowed=", ".join(str(plugin.get("name")) for plugin in slot.present.plugins),
             )
-        return planner_spec(declared)
+        own = planner_spec(declared)
+        other = slot.spec(wanted) if wanted is not None else None
+        if other:
+            special = planner_spec(other)
+            return special if special.fps == own.fps else own
+        return own
 
     def start_spacing(self) -> int:
         """Ticks from one possible start of a plan to the next."""
@@ -363,7 +372,7 @@ class CharacterLoop:
     def period_ticks(self, goal: PlanGoal) -> int:
         """Ticks until the plan after one for this goal: the planner's own period, else the settings', and in any case
         before the plan is over. A multiple of `start_spacing`."""
-        spec = self.planner_spec()
+        spec = self.planner_spec(goal.planner)
         wanted = self.settings.replan_ticks if goal.targets else self.settings.text_replan_ticks
         if spec.replan_frames is not None:
             wanted = spec.replan_frames * TICK_HZ // spec.fps
@@ -372,6 +381,6 @@ class CharacterLoop:
         return max(min(wanted, lasts) // spacing, 1) * spacing
 
     def _horizon_frames(self, spec: PlannerSpec) -> int:
-        """Frames to ask for: as long as the settings say, and at most what the planner can."""
+        """Frames to ask for: as long as the settings or the planner's own period say, and at most what it can."""
         wanted = round(self.settings.horizon_frames * spec.fps / PLANNER_FPS)
-        return min(max(wanted, LEAST_PLAN_FRAMES), spec.plan_frames)
+        return min(max(wanted, spec.replan_frames or 0, LEAST_PLAN_FRAMES), spec.plan_frames)

@@ -86,7 +86,7 @@ STATES: Mapping[Phase, StateSpec] = {
     Phase.CHOOSING: StateSpec(10.0, 0, Phase.FAILED, (Action.ABORT,)),
     Phase.ACTING: StateSpec(None, 0, Phase.CHOOSING, (Action.JUDGE_TASK, Action.CHOOSE_TASK), (Action.BEGIN_TASK,)),
     Phase.SETTLING: StateSpec(5.0, 0, Phase.CHOOSING, (Action.JUDGE_TASK, Action.CHOOSE_TASK)),
-    Phase.RECOVERING: StateSpec(5.0, 1, Phase.FAILED, (Action.ABORT,), (Action.RESET_CHARACTER,)),
+    Phase.RECOVERING: StateSpec(8.0, 1, Phase.FAILED, (Action.ABORT,), (Action.RESET_CHARACTER,)),
     Phase.DEGRADED: StateSpec(60.0, 0, Phase.FAILED, (Action.JUDGE_TASK, Action.ABORT)),
 }
 

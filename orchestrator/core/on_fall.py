@@ -4,15 +4,42 @@ from __future__ import annotations
 
 from typing import Literal
 
-from shared.tasks.interface import PlanGoal
+from shared.motion.skeleton import CANONICAL
+from shared.tasks.interface import BodyView, PlanGoal
 
 OnFall = Literal["stay", "reset", "get_up"]
-"""`stay`: it lies until it is told otherwise. `reset`: it is put on its feet where it is. `get_up`: the planner is
-asked for getting up until it stands."""
+"""`stay`: it lies until it is told otherwise. `reset`: it is put on its feet where it is. `get_up`: it gets up, by the
+planner `rise` where the planner service has it, else by what the character's own planner makes of the words."""
 
 GET_UP_TEXT = "a person gets up from the floor."
+RISE = "rise"
+UP_SHARE = 0.85
+"""Up is whose pelvis is at this share of its height in standing."""
 
 
 def get_up_goal() -> PlanGoal:
-    """What to ask for while a body that should get up lies."""
-    return PlanGoal(text=GET_UP_TEXT)
+    """What to ask for while a body that should get up does so. Lying is still a fall, and not what was asked for."""
+    return PlanGoal(text=GET_UP_TEXT, may_be_low=False, planner=RISE)
+
+
+class Down:
+    """Whether a body is down: from its fall until it stands, the way up included.
+
+    A body on its knees has no fall any more, but whoever took it over there with other plans would drop it.
+
+    Attributes:
+        is_so: as of the last state.
+    """
+
+    def __init__(self) -> None:
+        self.is_so = False
+
+    def update(self, view: BodyView) -> bool:
+        """Take a new state; whether the body is down."""
+        low = float(view.pos_w_m[0, 2]) < UP_SHARE * CANONICAL.root_height_m * view.scale
+        self.is_so = view.fallen or (self.is_so and low)
+        return self.is_so
+
+    def clear(self) -> None:
+        """The body was put on its feet."""
+        self.is_so = False

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from planner_service.builtin.clip import ClipPlanner
 from planner_service.builtin.library import ClipLibrary
+from planner_service.builtin.rise import RisePlanner
 from planner_service.builtin.stand import StandPlanner
 from planner_service.service.settings import PlannerSettings
 from shared.errors import InvalidInputError, UnavailableError
@@ -19,6 +20,7 @@ def planner_registry(settings: PlannerSettings) -> PluginRegistry[Planner]:
         "dip": lambda: _dip(settings),
         "clip": lambda: _clip(settings),
         "stand": StandPlanner,
+        "rise": lambda: _rise(settings),
     }
     return PluginRegistry(PLANNERS, builtin, settings.plugins)
 
@@ -26,6 +28,13 @@ def planner_registry(settings: PlannerSettings) -> PluginRegistry[Planner]:
 def _clip(settings: PlannerSettings) -> Planner:
     try:
         return ClipPlanner(ClipLibrary.load(settings.clip_library))
+    except InvalidInputError as error:
+        raise UnavailableError(error.message, field=error.field, allowed=error.allowed) from error
+
+
+def _rise(settings: PlannerSettings) -> Planner:
+    try:
+        return RisePlanner.load(settings.rise_library)
     except InvalidInputError as error:
         raise UnavailableError(error.message, field=error.field, allowed=error.allowed) from error
 

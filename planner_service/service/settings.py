@@ -10,6 +10,7 @@ from pydantic import Field
 from shared.settings import ServiceSettings
 
 DEFAULT_LIBRARY = Path(__file__).resolve().parent.parent / "weights" / "clips"
+RISE_LIBRARY = Path(__file__).resolve().parent.parent / "weights" / "rises"
 
 
 class PlannerSettings(ServiceSettings):
@@ -25,6 +26,7 @@ class PlannerSettings(ServiceSettings):
         str | None, Field(description="for requests that name none; default: dip, else clip, else stand")
     ] = None
     clip_library: Annotated[Path, Field(description="folder of recorded motion for `clip`")] = DEFAULT_LIBRARY
+    rise_library: Annotated[Path, Field(description="folder of get-ups for `rise`")] = RISE_LIBRARY
     dip_weights: Annotated[Path | None, Field(description="weights of `dip`; default: the shipped ones")] = None
     threads: Annotated[int, Field(ge=1, le=256, description="CPU threads of the network")] = 1
     max_batch: Annotated[int, Field(ge=1, le=256, description="characters planned for at once")] = 8

@@ -79,6 +79,7 @@ class PlanGoal:
         guidance: on the text; None leaves it to the loop's settings, and those to the planner: the one rule there is.
             What was used stands in the plan.
         may_be_low: being low is asked for and is no fall; None: as the text says.
+        planner: plug-in to ask, where the service has it; None, or one that it lacks: the character's own.
     """
 
     text: str | None = None
@@ -93,6 +94,7 @@ class PlanGoal:
     keyframe_rotations_6d: tuple[Mapping[str, tuple[float, ...]], ...] = ()
     guidance: float | None = None
     may_be_low: bool | None = None
+    planner: str | None = None
 
     def scaled(self, factor: float) -> PlanGoal:
         """The same in a world whose lengths are `factor` times as large: places, speeds and radii are, angles and times

@@ -60,8 +60,8 @@ def test_an_outage_of_the_planner_goes_back_to_the_task() -> None:
 
 def test_time_outs_retry_and_then_fall_back() -> None:
     state, _ = run(Signal.START, Signal.TASK_CHOSEN, Signal.FELL)
-    assert not timed_out(state, 2 + 149)
-    assert timed_out(state, 2 + 150)
+    assert not timed_out(state, 2 + 239)
+    assert timed_out(state, 2 + 240)
     state, actions = transition(state, Signal.TIMED_OUT, 152)
     assert (state.phase, state.retries_used, actions) == (Phase.RECOVERING, 1, (Action.RESET_CHARACTER,))
     state, actions = transition(state, Signal.TIMED_OUT, 302)
