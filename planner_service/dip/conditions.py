@@ -1,4 +1,6 @@
-"""What DiP can be told besides text: places of joints and a heading, each at an arrival frame (DESIGN 4).
+"""What DiP can be told besides text: places of joints and a heading at an arrival frame, keyframes and a velocity.
+
+Weights may have been trained without keyframes and velocity; `DipConfig.extra_conditions` says what they take.
 
 Slots are seen from the root frame of the LAST PREFIX frame (its place on the floor and its heading), in training and
 in use alike (REFERENCE 4.3). `traj` is the root on the floor: its z counts for nothing. A heading is the pair
@@ -25,6 +27,12 @@ SLOT_JOINTS = torch.tensor([CANONICAL.index("pelvis" if slot == "traj" else slot
 """(7,) skeleton joint of each joint slot."""
 SLOT_AXES = torch.tensor([[1.0, 1.0, 0.0 if slot == "traj" else 1.0] for slot in JOINT_SLOTS])
 """(7, 3) which axes of a joint slot count."""
+
+
+KEYFRAME_NUMBERS = 22 * 3 + 22
+"""Of one plan frame: places of all joints, and which of them hold."""
+VELOCITY_NUMBERS = 3
+"""x, y, valid."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +91,62 @@ class TargetBatch:
             * self.heading_valid[..., None]
         )
         return torch.cat([joint.flatten(1), heading], dim=-1).float()
+
+
+@dataclass(frozen=True)
+class KeyframeBatch:
+    """Places that joints pass through at frames of B plans, in the root frame of their last prefix frame.
+
+    Attributes:
+        position_m: (B, N, 22, 3), whatever it is where `mask` (B, N, 22) bool is False.
+    """
+
+    position_m: Tensor
+    mask: Tensor
+
+    @staticmethod
+    def none(batch: int, plan_frames: int) -> KeyframeBatch:
+        """No keyframe at all."""
+        joints = len(CANONICAL.names)
+        return KeyframeBatch(
+            torch.zeros(batch, plan_frames, joints, 3), torch.zeros(batch, plan_frames, joints, dtype=torch.bool)
+        )
+
+    def vector(self) -> Tensor:
+        """(B, N, KEYFRAME_NUMBERS) the network's input; zero where there is no key."""
+        places = torch.where(self.mask[..., None], self.position_m, 0.0)
+        return torch.cat([places.flatten(2), self.mask.float()], dim=-1).float()
+
+
+@dataclass(frozen=True)
+class VelocityBatch:
+    """Desired mean velocity of the root on the floor over the second half of B plans.
+
+    Attributes:
+        velocity_mps: (B, 2) in the root frame of the last prefix frame; valid: (B,) bool.
+    """
+
+    velocity_mps: Tensor
+    valid: Tensor
+
+    @staticmethod
+    def none(batch: int) -> VelocityBatch:
+        """No velocity asked for."""
+        return VelocityBatch(torch.zeros(batch, 2), torch.zeros(batch, dtype=torch.bool))
+
+    def vector(self) -> Tensor:
+        """(B, VELOCITY_NUMBERS) the network's input; zero where none is asked for."""
+        valid = self.valid[:, None]
+        return torch.cat([torch.where(valid, self.velocity_mps, 0.0), valid.float()], dim=-1).float()
+
+
+def late_velocity(positions_m: Tensor, fps: float) -> Tensor:
+    """(B, 2) mean velocity of the root on the floor over the second half of plans (B, N, 22, 3), m/s.
+
+    A plan begins with the speed the body has; the half of it after that is what can be asked for.
+    """
+    first, last = positions_m.shape[1] // 2, positions_m.shape[1]
+    return (positions_m[:, last - 1, 0, :2] - positions_m[:, first - 1, 0, :2]) * (fps / (last - first))
 
 
 def joints_at_arrival(positions_m: Tensor, frames: Tensor) -> Tensor:

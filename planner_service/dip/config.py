@@ -10,6 +10,9 @@ from shared.errors import InvalidInputError
 from shared.motion.features import FEATURES
 
 Size = Literal["tiny", "small", "full"]
+ExtraCondition = Literal["velocity", "keyframes"]
+EXTRA_CONDITIONS: tuple[ExtraCondition, ...] = ("velocity", "keyframes")
+"""Conditions that weights may or may not take, by their names in the protocol; each is a flag of DipConfig."""
 
 
 class DipConfig(BaseModel):
@@ -26,6 +29,8 @@ class DipConfig(BaseModel):
         pooled_text: whitened numbers of the sentence's pooled token that are added to that embedding, too, so that text
             acts on every frame at once (attention alone had hardly learnt to tell "stand" from "walk" after 1,500
             steps); whitened, because "left" and "right" differ by little else; 0 for none.
+        keyframes: take places of joints at frames of the plan as a condition of those frames.
+        velocity: take a mean velocity over the plan's second half as a condition.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -44,6 +49,13 @@ class DipConfig(BaseModel):
     norm_first: bool = True
     condition_every_frame: bool = True
     pooled_text: int = Field(128, ge=0)
+    keyframes: bool = False
+    velocity: bool = False
+
+    @property
+    def extra_conditions(self) -> tuple[ExtraCondition, ...]:
+        """Which of EXTRA_CONDITIONS these weights take."""
+        return tuple(name for name in EXTRA_CONDITIONS if getattr(self, name))
 
 
 def preset(size: str) -> DipConfig:

@@ -6,14 +6,16 @@ Shapes: B batch, P prefix frames, N plan frames, F features, L text tokens, W wi
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from copy import deepcopy
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from planner_service.dip.conditions import TARGET_NUMBERS
-from planner_service.dip.config import DipConfig
+from planner_service.dip.conditions import KEYFRAME_NUMBERS, TARGET_NUMBERS, VELOCITY_NUMBERS
+from planner_service.dip.config import EXTRA_CONDITIONS, DipConfig
+from shared.errors import InvalidInputError
 
 
 def sinusoid(positions: Tensor, width: int) -> Tensor:
@@ -107,6 +109,11 @@ class DipNetwork(nn.Module):
         self.frame_in = nn.Linear(config.features, w)
         self.time_mlp = nn.Sequential(nn.Linear(w, w), nn.SiLU(), nn.Linear(w, w))
         self.target_mlp = nn.Sequential(nn.Linear(TARGET_NUMBERS, w), nn.SiLU(), nn.Linear(w, w))
+        # They start at zero and have no bias: what is not asked for, or not yet learnt, changes nothing.
+        if config.keyframes:
+            self.keyframe_in = _zero_linear(KEYFRAME_NUMBERS, w)
+        if config.velocity:
+            self.velocity_in = _zero_linear(VELOCITY_NUMBERS, w)
         self.text_in = nn.Linear(config.text_dim, w)
         self.text_mean: Tensor
         self.text_whitening: Tensor
@@ -124,7 +131,15 @@ class DipNetwork(nn.Module):
         self.register_buffer("step_embedding", sinusoid(torch.arange(config.steps), w), persistent=False)
 
     def forward(
-        self, noisy: Tensor, step: Tensor, prefix: Tensor, targets: Tensor, text: Tensor, text_mask: Tensor
+        self,
+        noisy: Tensor,
+        step: Tensor,
+        prefix: Tensor,
+        targets: Tensor,
+        text: Tensor,
+        text_mask: Tensor,
+        keyframes: Tensor | None = None,
+        velocity: Tensor | None = None,
     ) -> Tensor:
         """One denoising step.
 
@@ -135,11 +150,16 @@ class DipNetwork(nn.Module):
             targets: (B, TARGET_NUMBERS) from `conditions.TargetBatch.vector`.
             text: (B, L, text_dim) token features, the pooled one first.
             text_mask: (B, L) True where a token counts, all False for no text.
+            keyframes: (B, N, KEYFRAME_NUMBERS) from `conditions.KeyframeBatch.vector`; none, or for weights that do
+                not take them, None.
+            velocity: (B, VELOCITY_NUMBERS) from `conditions.VelocityBatch.vector`; as above.
 
         Returns:
             (B, N, F) predicted clean plan.
         """
         condition = self.time_mlp(self.step_embedding[step]) + self.target_mlp(targets)
+        if velocity is not None:
+            condition = condition + self.velocity_in(velocity)
         if self.config.pooled_text:
             pooled = (text[:, 0] - self.text_mean) @ self.text_whitening
             condition = condition + self.text_pool(pooled) * text_mask[:, :1]
@@ -149,6 +169,9 @@ class DipNetwork(nn.Module):
         if self.config.condition_every_frame:
             prefix_tokens, plan_tokens = x[:, : self.config.prefix_frames], x[:, self.config.prefix_frames :]
             x = torch.cat([prefix_tokens, plan_tokens + condition[:, None]], dim=1)
+        if keyframes is not None:
+            prefix_tokens, plan_tokens = x[:, : self.config.prefix_frames], x[:, self.config.prefix_frames :]
+            x = torch.cat([prefix_tokens, plan_tokens + self.keyframe_in(keyframes)], dim=1)
         last = len(self.layers) - 1
         for number, layer in enumerate(self.layers):
             keep = self.config.plan_frames if number == last else x.shape[1]
@@ -156,6 +179,27 @@ class DipNetwork(nn.Module):
         # Eight bits of mantissa in the output would be half a millimetre of noise a frame.
         with torch.autocast("cpu", enabled=False):
             return self.frame_out(self.norm_out(x.float()))
+
+
+def _zero_linear(inputs: int, outputs: int) -> nn.Linear:
+    layer = nn.Linear(inputs, outputs, bias=False)
+    nn.init.zeros_(layer.weight)
+    return layer
+
+
+def with_conditions(network: DipNetwork, names: Iterable[str]) -> DipNetwork:
+    """A copy that takes these of EXTRA_CONDITIONS, too; until it is trained it gives what the network gives.
+
+    Raises InvalidInputError for another name.
+    """
+    wanted = set(names)
+    for name in sorted(wanted - set(EXTRA_CONDITIONS)):
+        raise InvalidInputError(
+            f"no condition {name!r} can be added", field="conditions", allowed=", ".join(EXTRA_CONDITIONS)
+        )
+    out = DipNetwork(network.config.model_copy(update=dict.fromkeys(wanted, True)))
+    out.load_state_dict({**out.state_dict(), **network.state_dict()})
+    return out.train(network.training)
 
 
 def whiten_text(network: DipNetwork, pooled: Tensor, damping: float = 0.1) -> None:

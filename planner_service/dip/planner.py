@@ -16,11 +16,12 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
-from planner_service.dip.conditions import JOINT_SLOTS, TargetBatch
+from planner_service.dip.conditions import JOINT_SLOTS
 from planner_service.dip.diffusion import cosine_schedule, sample
 from planner_service.dip.feet import with_planted_feet
 from planner_service.dip.network import with_bf16_blocks
 from planner_service.dip.weights import SHIPPED, DipWeights, load_weights
+from planner_service.dip.wishes import Wishes, read_wishes
 from planner_service.text.encoder import CachedTextEncoder, TextEncoder, pad_tokens
 from planner_service.text.known import KnownSentences
 from planner_service.text.pretrained import minilm
@@ -31,13 +32,11 @@ from shared.motion.features import (
     features_to_global,
     global_to_features,
     root_state,
-    to_root_frame,
 )
-from shared.motion.rotations import wrap_angle
 from shared.motion.skeleton import CANONICAL
 from shared.plugins.interfaces import PlannerSpec
 from shared.processor import bf16_pays
-from shared.protocol.messages import PLANNER_FPS, TICK_HZ, Plan, PlanRequest, TextRead
+from shared.protocol.messages import PLANNER_FPS, Plan, PlanRequest, TextRead
 
 Array = npt.NDArray[np.float64]
 VERSION = "1"
@@ -48,8 +47,9 @@ class DipSettings(BaseModel):
 
     Attributes:
         guidance: classifier-free guidance scale on the text, where a request gives none and has no target.
-        target_guidance: the same for requests with a target of a joint. Guidance pulls a plan toward what is typical
-            of its text and so away from its target; 1 is none (and half the work).
+        target_guidance: the same for requests with a target of a joint, or with keyframes or a velocity that the
+            weights take. Guidance pulls a plan toward what is typical of its text and so away from its target; 1 is
+            none (and half the work).
         coarse_guidance: at most this in the first, noisiest `coarse_steps` of the diffusion, which decide speeds and
             places. Guided more there, a start from standing reaches a run within half a second, which no body can do
             (guidance within an interval: Kynkaanniemi et al. 2024). Later steps decide detail, as the swing of a wave,
@@ -111,7 +111,7 @@ class DipPlanner:
             prefix_frames=self._config.prefix_frames,
             plan_frames=self._config.plan_frames,
             target_joints=JOINT_SLOTS,
-            conditions=("text", "target", "heading"),
+            conditions=("text", "target", "heading", *self._config.extra_conditions),
         )
 
     @classmethod
@@ -147,17 +147,17 @@ class DipPlanner:
             global_to_features(request.prefix_positions_w_m.astype(np.float64), PLANNER_FPS) for request in requests
         ]
         states = [root_state(request.prefix_positions_w_m[-1]) for request in requests]
-        targets, ignored = self._targets(requests, states)
+        wishes = read_wishes(requests, states, self._config, self._settings.step_m)
         encoded = time.monotonic()
         text, mask = self._encode([request.text for request in requests])
         embedded = time.monotonic()
         prefix = self._normalizer.normalize(torch.from_numpy(np.stack(prefixes)).float())
-        guidance = [self._guidance(request) for request in requests]
+        guidance = [self._guidance(request, placed) for request, placed in zip(requests, wishes.placed, strict=True)]
         noise = torch.stack([self._noise(r.seed) for r in requests], dim=1)
-        planned = self._denormalized(noise, prefix, targets, text, mask, torch.tensor(guidance))
+        planned = self._denormalized(noise, prefix, wishes, text, mask, torch.tensor(guidance))
         sampled = time.monotonic()
         plans = [
-            self._to_plan(request, features, prefixes[i], states[i], ignored[i], guidance[i])
+            self._to_plan(request, features, prefixes[i], states[i], wishes.ignored[i], guidance[i])
             for i, (request, features) in enumerate(zip(requests, planned, strict=True))
         ]
         timings = {
@@ -168,10 +168,10 @@ class DipPlanner:
         }
         return [plan.model_copy(update={"timings_ms": timings}) for plan in plans]
 
-    def _guidance(self, request: PlanRequest) -> float:
+    def _guidance(self, request: PlanRequest, placed: bool) -> float:
         if request.guidance is not None:
             return request.guidance
-        return self._settings.target_guidance if request.targets else self._settings.guidance
+        return self._settings.target_guidance if placed else self._settings.guidance
 
     def _check(self, request: PlanRequest) -> None:
         want, most = self._config.prefix_frames, self._config.plan_frames
@@ -201,21 +201,25 @@ class DipPlanner:
         return torch.randn(shape, generator=generator)
 
     def _denormalized(
-        self, noise: Tensor, prefix: Tensor, targets: Tensor, text: Tensor, mask: Tensor, guidance: Tensor
+        self, noise: Tensor, prefix: Tensor, wishes: Wishes, text: Tensor, mask: Tensor, guidance: Tensor
     ) -> npt.NDArray[np.float64]:
         """(B, N, F) features of guided samples; rows that need it run twice in one batch, with and without text."""
         mask = mask & (guidance != 0.0)[:, None]  # a guidance of zero: the text does not count at all
         both = torch.nonzero(mask.any(-1) & (guidance != 1.0)).flatten()
         rows = torch.cat([torch.arange(len(mask)), both])
         all_mask = torch.cat([mask, torch.zeros_like(mask[both])])
-        all_prefix, all_targets, all_text = prefix[rows], targets[rows], text[rows]
+        all_prefix, all_targets, all_text = prefix[rows], wishes.targets[rows], text[rows]
+        keyframes = None if wishes.keyframes is None else wishes.keyframes[rows]
+        velocity = None if wishes.velocity is None else wishes.velocity[rows]
         fine = guidance[both][:, None, None]
         coarse = fine.clamp(max=self._settings.coarse_guidance)
         first_fine = self._config.steps - self._settings.coarse_steps
         with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, enabled=self._bf16):
 
             def denoise(x: Tensor, step: Tensor) -> Tensor:
-                out: Tensor = self._network(x[rows], step[rows], all_prefix, all_targets, all_text, all_mask)
+                out: Tensor = self._network(
+                    x[rows], step[rows], all_prefix, all_targets, all_text, all_mask, keyframes, velocity
+                )
                 guided = out[: len(mask)].clone()
                 free = out[len(mask) :]
                 scale = fine if int(step[0]) < first_fine else coarse
@@ -224,48 +228,6 @@ class DipPlanner:
 
             planned = self._normalizer.denormalize(sample(self._schedule, denoise, noise))
         return planned.double().numpy()
-
-    def _targets(self, requests: Sequence[PlanRequest], states: Sequence[RootState]) -> tuple[Tensor, list[list[str]]]:
-        """(B, TARGET_NUMBERS) and, for each request, the names of conditions that are not honoured."""
-        frames = self._config.plan_frames
-        batch = TargetBatch.none(len(requests), frames)
-        ignored: list[list[str]] = []
-        for row, (request, state) in enumerate(zip(requests, states, strict=True)):
-            unused: list[str] = []
-            for target in request.targets:
-                if target.joint not in JOINT_SLOTS:
-                    unused.append(f"target:{target.joint}")
-                    continue
-                slot = JOINT_SLOTS.index(target.joint)
-                frame, share = self._arrival(request.start_tick, target.arrival_tick)
-                place = self._within_reach(to_root_frame(np.array(target.position_w_m), state), frame, share)
-                batch.position_m[row, slot] = torch.from_numpy(place)
-                batch.position_valid[row, slot] = True
-                batch.position_frame[row, slot] = frame
-            if request.heading is not None:
-                frame, share = self._arrival(request.start_tick, request.heading.arrival_tick)
-                turn = float(wrap_angle(request.heading.heading_rad - float(state.heading_rad)))
-                batch.heading_rad[row] = turn * share
-                batch.heading_valid[row] = True
-                batch.heading_frame[row] = frame
-            ignored.append(unused)
-        return batch.vector(frames), ignored
-
-    def _arrival(self, start_tick: int, arrival_tick: int) -> tuple[int, float]:
-        """Arrival frame within the plan, and the share of the way due by then: below 1 for arrivals beyond its end."""
-        wanted = (arrival_tick - start_tick) * PLANNER_FPS / TICK_HZ
-        frame = int(np.clip(round(wanted), self._config.first_arrival_frame, self._config.plan_frames))
-        return frame, min(1.0, self._config.plan_frames / max(wanted, 1.0))
-
-    def _within_reach(self, place_m: Array, frame: int, share: float) -> Array:
-        """A target (3,) in the root frame moved toward the root to what a plan can reach by `frame`."""
-        distance = float(np.linalg.norm(place_m[:2]))
-        reach = self._settings.step_m * frame / self._config.plan_frames
-        # Within arm's length nothing is scaled: the share is about going somewhere, not about where a hand strikes.
-        allowed = min(reach, max(distance * share, 1.0)) if share < 1.0 else reach
-        out = place_m.copy()
-        out[:2] *= min(1.0, max(allowed, 0.5) / max(distance, 1e-9))
-        return out
 
     def _to_plan(
         self, request: PlanRequest, planned: Array, prefix: Array, state: RootState, ignored: list[str], guidance: float
