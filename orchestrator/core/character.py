@@ -303,6 +303,8 @@ class CharacterSession:
         self.states.publish(cycle.state)
         for plan in cycle.plans:
             self.events.emit("plan", cycle.state.tick, **asdict(plan))
+        if (error := self.loop.take_swap_error()) is not None:
+            self.events.emit("swap_failed", cycle.state.tick, reason=error)
         if cycle.state.fallen and not was_fallen:
             self.events.emit("fallen", cycle.state.tick)
         if cycle.state.failure is not None:

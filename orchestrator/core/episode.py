@@ -216,6 +216,8 @@ class EpisodeRunner:
             self._running.add(cycle.trace)
         for plan in cycle.plans:
             self.events.emit("plan", state.tick, **asdict(plan))
+        if (error := self.loop.take_swap_error()) is not None:
+            self.events.emit("swap_failed", state.tick, reason=error)
         if state.tick - self._last_report >= REPORT_TICKS:
             self._last_report = state.tick
             self._report(state)

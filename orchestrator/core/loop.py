@@ -159,7 +159,7 @@ class CharacterLoop:
         self.trace_id: str | None = None
         """Of the newest command's request: goes along with the plans made for it."""
         self.last_plan: Plan | None = None
-        self.swap_error: str | None = None
+        self._swap_error: str | None = None
 
     async def reset(self) -> StateFrame:
         """Stand the character up. What was planned and done before says nothing about it any more."""
@@ -267,10 +267,15 @@ class CharacterLoop:
             self.last_plan = plan
         return reply
 
+    def take_swap_error(self) -> str | None:
+        """Why the character could not go over to the tracker that was swapped in; told once."""
+        error, self._swap_error = self._swap_error, None
+        return error
+
     async def _follow_swaps(self) -> None:
         """At a plan boundary: if another tracker was put in the slot, let it drive; move there if it is elsewhere.
 
-        A move that fails leaves the character where it is; the error goes to `swap_error`.
+        A move that fails leaves the character where it is; `take_swap_error` tells why.
         """
         old, new = self._tracker, self._services.tracker
         if new is old or new is self._refused:
@@ -284,9 +289,9 @@ class CharacterLoop:
                 Ok, SetTracker(tracker=new.plugin_name), self.character_id, self.settings.tracker_timeout_s
             )  # fmt: skip
         except MotionLoopError as error:
-            self._refused, self.swap_error = new, error.message
+            self._refused, self._swap_error = new, error.message
             return
-        self._tracker, self.swap_error = new, None
+        self._tracker, self._swap_error = new, None
         if new.endpoint != old.endpoint:
             with contextlib.suppress(MotionLoopError):  # the old service may be on its way out
                 await old.ask(Ok, CloseCharacter(), self.character_id, self.settings.tracker_timeout_s)
