@@ -16,10 +16,11 @@ from orchestrator.core.episode import EpisodeOutcome, EpisodeRunner, EpisodeSpec
 from orchestrator.core.events import EventLog
 from orchestrator.core.fanout import Fanout
 from orchestrator.core.services import Services, Slot
-from orchestrator.core.swap import check_spec, swap
+from orchestrator.core.swap import check_drives, check_spec, swap
 from orchestrator.store.interface import Store, StoreReader
 from orchestrator.store.recordings import Recording, RecordingFiles, write_atomically
 from shared.errors import ConflictError, InvalidInputError, MotionLoopError, NotFoundError, OverloadedError
+from shared.motion.characters import build
 from shared.protocol.control import Ok
 from shared.protocol.messages import CloseCharacter, Render, StateFrame, Video
 from shared.protocol.rest import Event
@@ -100,7 +101,7 @@ class Orchestrator:
     async def create_character(self, spec: CharacterSpec) -> CharacterSession:
         """Make a character and let it run."""
         self._check_room()
-        self._check_plugins(spec.planner, spec.tracker)
+        self._check_plugins(spec.character, spec.planner, spec.tracker)
         character_id = str(uuid.uuid4())
         session = CharacterSession(character_id, spec, self.services, EventLog(self._sink(character_id)))
         self.store.character_started(character_id, spec.model_dump(mode="json"))
@@ -130,7 +131,7 @@ class Orchestrator:
     def start_episode(self, spec: EpisodeSpec) -> str:
         """Start an episode in the background; returns its id."""
         self._check_room()
-        self._check_plugins(spec.planner, spec.tracker)
+        self._check_plugins(spec.character, spec.planner, spec.tracker)
         self.services.scenes.for_tracker(spec.scene, spec.seed)  # a wrong scene is refused now, not in the background
         episode_id = str(uuid.uuid4())
         events = EventLog(self._sink(episode_id))
@@ -246,7 +247,8 @@ class Orchestrator:
         if running >= self._max_running:
             raise OverloadedError(f"{running} characters are running already", allowed=f"at most {self._max_running}")
 
-    def _check_plugins(self, planner: str | None, tracker: str | None) -> None:
+    def _check_plugins(self, character: str, planner: str | None, tracker: str | None) -> None:
+        build(character)
         for field, name, slot in (
             ("planner", planner, self.services.planner),
             ("tracker", tracker, self.services.tracker),
@@ -255,6 +257,7 @@ class Orchestrator:
                 offered = ", ".join(str(p.get("name")) for p in slot.welcome.plugins)
                 raise InvalidInputError(f"the {field} service has no {name!r}", field=field, allowed=offered)
         check_spec(self.services.planner)
+        check_drives(self.services.tracker, tracker, character)
 
     async def _run(self, live: LiveEpisode) -> None:
         runner = live.runner

@@ -10,6 +10,7 @@ from shared.errors import IncompatiblePeerError, InvalidInputError
 from shared.motion.skeleton import CANONICAL
 from shared.plugins.checks import planner_spec, tracker_spec
 from shared.plugins.conformance import check_planner_endpoint, check_tracker_endpoint, require
+from shared.plugins.registry import current_name
 from shared.protocol.control import Health, HealthReport
 from shared.protocol.security import CurveKeys
 from shared.protocol.transport import Kind
@@ -41,6 +42,23 @@ def check_spec(slot: Slot) -> dict[str, Any]:
     else:
         tracker_spec(slot.welcome, slot.plugin)
     return spec
+
+
+def check_drives(slot: Slot, tracker: str | None, character: str) -> None:
+    """Raise InvalidInputError where the tracker asked for does not drive the character; it names those that do.
+
+    Where none is asked for the service takes one that does.
+    """
+    wanted = tracker or slot.plugin
+    able = [
+        spec.name
+        for spec in (tracker_spec(slot.present, str(plugin.get("name"))) for plugin in slot.present.plugins)
+        if spec.characters is None or character in spec.characters
+    ]
+    if wanted is not None and current_name(wanted) not in able:
+        raise InvalidInputError(
+            f"tracker {wanted!r} does not drive {character!r}", field="tracker", allowed=", ".join(able) or "none"
+        )
 
 
 async def swap(

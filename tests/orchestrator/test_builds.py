@@ -11,12 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator.client import Client
+from orchestrator.client import Client, ServerProblem
 from orchestrator.core.drivers import LockstepDriver
 from orchestrator.core.loop import CharacterLoop
 from orchestrator.core.services import Services, connect
 from orchestrator.core.settings import LOCKSTEP
 from orchestrator.core.supervise import Stack
+from orchestrator.core.swap import check_drives
+from shared.errors import InvalidInputError
 from shared.motion.characters import BUILDS, build
 from shared.motion.skeleton import CANONICAL
 from shared.plugins.interfaces import Planner
@@ -136,6 +138,32 @@ def test_a_goal_scales_and_comes_back(factor: float, x: float, speed: float) -> 
     back = there.scaled(1 / factor)
     np.testing.assert_allclose(back.targets[0].position_w_m, wanted.targets[0].position_w_m, atol=1e-12)
     assert wanted.scaled(1.0) is wanted
+
+
+def test_a_tracker_that_does_not_drive_a_character_is_refused_with_those_that_do(tracker: TrackerService) -> None:
+    async def check() -> None:
+        here = await connect(tracker.endpoint, "tracker")
+        try:
+            only = {**here.spec("kinematic"), "name": "trained", "characters": ["human"]}
+            offered = here.welcome.model_copy(update={"plugins": [*here.welcome.plugins, only]})
+            here.client.welcome = offered
+            check_drives(here, "kinematic", "child")
+            check_drives(here, "trained", "human")
+            check_drives(here, None, "child")
+            with pytest.raises(InvalidInputError) as caught:
+                check_drives(here, "trained", "child")
+            assert (caught.value.field, caught.value.allowed) == ("tracker", "kinematic")
+        finally:
+            await here.client.close()
+
+    asyncio.run(check())
+
+
+def test_an_unknown_character_is_refused_by_name(stack: Stack) -> None:
+    with Client(stack.url) as client, pytest.raises(ServerProblem) as caught:
+        client.episode([{"type": "halt"}], character="giant")
+    assert caught.value.field == "character"
+    assert "child" in (caught.value.allowed or "")
 
 
 @pytest.mark.parametrize("name", list(BUILDS))
