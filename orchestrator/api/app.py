@@ -11,9 +11,11 @@ from typing import Any
 from fastapi import Depends, FastAPI
 
 from orchestrator.api import catalogue, characters, episodes, motion, objects, page, problems, replay, services, stream
-from orchestrator.api.deps import check_token
+from orchestrator.api.access import Tokens, check_request
+from orchestrator.api.headers import SafeHeaders
 from orchestrator.api.health import HealthWatch
 from orchestrator.api.hosts import HostGuard
+from orchestrator.api.limits import Limiter, Limits
 from orchestrator.api.metrics import OrchestratorMetrics
 from orchestrator.api.settings import OrchestratorSettings
 from orchestrator.api.tracing import Tracing
@@ -79,12 +81,16 @@ def create_app(settings: OrchestratorSettings, opened: Orchestrator | None = Non
         lifespan=lifespan,
     )
     app.state.orchestrator = None
-    app.state.token = None if settings.token is None else settings.token.get_secret_value()
+    app.state.settings = settings
+    app.state.tokens = Tokens(settings)
     problems.install(app)
+    limits = Limits(settings.max_body_bytes, settings.max_rate_per_s, settings.max_requests, settings.max_streams)
+    app.add_middleware(Limiter, limits=limits)
     if settings.token is None or settings.allowed_hosts:
         app.add_middleware(HostGuard, allowed=(settings.host, *settings.allowed_hosts))
+    app.add_middleware(SafeHeaders)
     app.add_middleware(Tracing)  # added last, it is the outermost: what the others turn away is traced too
-    guarded: list[Any] = [Depends(check_token)]
+    guarded: list[Any] = [Depends(check_request)]
     app.include_router(characters.router, dependencies=guarded)
     app.include_router(episodes.router, dependencies=guarded)
     app.include_router(objects.router, dependencies=guarded)

@@ -27,6 +27,10 @@ STATUS = {
 MEDIA_TYPE = "application/problem+json"
 RETRY_AFTER_S = 1
 
+_CODES = {
+    400: "bad_request", 401: "unauthorized", 403: "forbidden", 404: "not_found", 405: "method_not_allowed",
+    413: "too_large",
+}  # fmt: skip
 _ALLOWED = {
     "ge": ">= {}",
     "gt": "> {}",
@@ -102,7 +106,7 @@ def _validation(request: Request, error: Exception) -> JSONResponse:
 def _http(request: Request, error: Exception) -> JSONResponse:
     if not isinstance(error, HTTPException):
         raise error
-    code = {401: "unauthorized", 404: "not_found", 405: "method_not_allowed"}.get(error.status_code, "http_error")
+    code = _CODES.get(error.status_code, "http_error")
     response = problem_response(
         Problem(
             title=code.replace("_", " "),
@@ -116,14 +120,34 @@ def _http(request: Request, error: Exception) -> JSONResponse:
     return response
 
 
+def _bug(request: Request, error: Exception) -> JSONResponse:
+    """What nobody foresaw: the log has the traceback, the caller learns nothing of the inside."""
+    said = "an error of the server; its log says more"
+    return problem_response(
+        Problem(title="internal error", status=500, detail=said, instance=request.url.path, code="internal")
+    )
+
+
 def install(app: FastAPI) -> None:
     """Let an app answer every error as a problem."""
     app.add_exception_handler(MotionLoopError, _motion_loop)
     app.add_exception_handler(RequestValidationError, _validation)
     app.add_exception_handler(HTTPException, _http)
+    app.add_exception_handler(Exception, _bug)
 
 
 RESPONSES: dict[int | str, dict[str, Any]] = {
+    400: {"model": Problem, "description": "Not HTTP or JSON as it should be", "content": {MEDIA_TYPE: {}}},
+    401: {"model": Problem, "description": "A token is needed", "content": {MEDIA_TYPE: {}}},
+    403: {
+        "model": Problem,
+        "description": "This token, host or endpoint will not do",
+        "content": {MEDIA_TYPE: {}},
+    },
+    413: {"model": Problem, "description": "The body is too large", "content": {MEDIA_TYPE: {}}},
+    429: {"model": Problem, "description": "Too many requests, characters or episodes", "content": {MEDIA_TYPE: {}}},
+    502: {"model": Problem, "description": "A service sent what cannot be read", "content": {MEDIA_TYPE: {}}},
+    504: {"model": Problem, "description": "A service did not answer in time", "content": {MEDIA_TYPE: {}}},
     422: {"model": Problem, "description": "A value is not allowed; nothing was changed", "content": {MEDIA_TYPE: {}}},
     404: {"model": Problem, "description": "No such thing", "content": {MEDIA_TYPE: {}}},
     409: {"model": Problem, "description": "Not possible in the present state", "content": {MEDIA_TYPE: {}}},

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Body, Request, Response
+from fastapi import APIRouter, Body, Depends, Request, Response
+from fastapi.exceptions import HTTPException
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 
+from orchestrator.api.access import check_request
 from orchestrator.api.deps import Core
 from orchestrator.api.health import HealthWatch
 from orchestrator.api.metrics import OrchestratorMetrics
 from orchestrator.api.models import HealthBody, SwapBody
 from orchestrator.api.problems import RESPONSES, problem_response
+from orchestrator.api.settings import OrchestratorSettings
 from shared.errors import MotionLoopError
 from shared.protocol.control import Health, HealthReport
 from shared.protocol.rest import Problem, ServiceInfo, ServicesHealth, ServicesInfo
@@ -41,9 +44,15 @@ async def health(core: Core, request: Request) -> ServicesHealth:
 
 @router.put("/{kind}")
 async def put(
-    core: Core, kind: Literal["planner", "tracker"], body: Annotated[SwapBody, Body(openapi_examples=_SWAPS)]
+    core: Core,
+    request: Request,
+    kind: Literal["planner", "tracker"],
+    body: Annotated[SwapBody, Body(openapi_examples=_SWAPS)],
 ) -> ServiceInfo:
     """Exchange a service or plug-in while it runs; an unfit one is refused and the old one stays."""
+    settings: OrchestratorSettings = request.app.state.settings
+    if body.endpoint is not None and not settings.may_swap_to(body.endpoint):
+        raise HTTPException(403, "this server may not swap to this endpoint: MOTIONLOOP_SWAP_ENDPOINTS lists where to")
     return ServiceInfo.model_validate(await core.swap(kind, body.endpoint, body.plugin))
 
 
@@ -72,7 +81,7 @@ async def readyz(core: Core) -> HealthBody | Response:
     return HealthBody(status="ok", services=found)
 
 
-@health_router.get("/metrics", response_class=Response)
+@health_router.get("/metrics", response_class=Response, dependencies=[Depends(check_request)])
 async def metrics(core: Core, request: Request) -> Response:
     """Prometheus text."""
     counted: OrchestratorMetrics = request.app.state.metrics

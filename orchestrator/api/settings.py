@@ -19,7 +19,8 @@ class OrchestratorSettings(Settings):
 
     Attributes:
         host, port: of the HTTP server; port 0 takes a free one. A host beyond loopback needs `token`.
-        token: bearer token that every request must carry.
+        token: bearer token that every request must carry; it may do everything.
+        command_token, watch_token: tokens for those who may not exchange services, or only look (api/access.py).
         allowed_hosts: names by which the server may be addressed beside loopback's. With a token any will do, as a page
             that lures a browser here does not have it.
         planner, tracker: ZeroMQ endpoints of the services.
@@ -29,6 +30,10 @@ class OrchestratorSettings(Settings):
         curve_dir: folder of CURVE keys, for services on other machines.
         connect_timeout_s: how long to wait for the services at the start.
         max_running: characters and episodes at once.
+        swap_endpoints: where a service may be swapped to, beside `planner` and `tracker`. Without any, a server on
+            loopback swaps to wherever it is told and one beyond it nowhere else.
+        max_body_bytes, max_rate_per_s: of one request; requests of one caller.
+        max_requests, max_streams: at once, of all callers.
         log_level: of the process; info has a line for every request.
         log_format: lines for people, or JSON with the trace id (docs/operations.md).
     """
@@ -38,6 +43,8 @@ class OrchestratorSettings(Settings):
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 8080
     token: SecretStr | None = None
+    command_token: SecretStr | None = None
+    watch_token: SecretStr | None = None
     allowed_hosts: tuple[str, ...] = ()
     planner: str = "tcp://127.0.0.1:5601"
     tracker: str = "tcp://127.0.0.1:5602"
@@ -48,6 +55,11 @@ class OrchestratorSettings(Settings):
     curve_dir: Path | None = Field(default_factory=curve_dir_from_environment)
     connect_timeout_s: Annotated[float, Field(gt=0, le=600)] = 60.0
     max_running: Annotated[int, Field(ge=1, le=1000)] = 64
+    swap_endpoints: tuple[str, ...] = ()
+    max_body_bytes: Annotated[int, Field(ge=1024)] = 2**20
+    max_rate_per_s: Annotated[float, Field(gt=0)] = 1000.0
+    max_requests: Annotated[int, Field(ge=1)] = 256
+    max_streams: Annotated[int, Field(ge=1)] = 64
     log_level: Literal["debug", "info", "warning", "error"] = "warning"
     log_format: LogFormat = "text"
 
@@ -58,6 +70,15 @@ class OrchestratorSettings(Settings):
                 f"host {self.host} can be reached from other machines: set MOTIONLOOP_TOKEN to a bearer token, "
                 "or listen on 127.0.0.1"
             )
-        if self.token is not None and len(self.token.get_secret_value()) < TOKEN_CHARS:
-            raise ValueError(f"the token must have at least {TOKEN_CHARS} characters")
+        given = [t.get_secret_value() for t in (self.token, self.command_token, self.watch_token) if t is not None]
+        if any(len(token) < TOKEN_CHARS for token in given):
+            raise ValueError(f"a token must have at least {TOKEN_CHARS} characters")
+        if len(set(given)) < len(given):
+            raise ValueError("each scope must have a token of its own")
         return self
+
+    def may_swap_to(self, endpoint: str) -> bool:
+        """Whether a service may be swapped to an endpoint."""
+        if not self.swap_endpoints and is_loopback(self.host):
+            return True
+        return endpoint in (self.planner, self.tracker, *self.swap_endpoints)

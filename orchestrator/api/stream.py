@@ -11,18 +11,16 @@ from __future__ import annotations
 import asyncio
 import base64
 import binascii
-import secrets
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
-from urllib.parse import urlsplit
 
 import numpy as np
 from fastapi import APIRouter, Query, WebSocket, WebSocketDisconnect
 
+from orchestrator.api.access import check_access, of_another_origin
 from orchestrator.api.binary import pack
-from orchestrator.api.deps import check_token
 from orchestrator.api.models import StateBody
 from orchestrator.core.events import EventLog
 from orchestrator.core.fanout import Fanout
@@ -236,19 +234,13 @@ def _admit(socket: WebSocket) -> list[str] | None:
     also come as a subprotocol (`bearer.` and the token in base64url), and a page of another origin is turned away.
     """
     offered = [part.strip() for part in socket.headers.get("sec-websocket-protocol", "").split(",") if part.strip()]
-    origin = socket.headers.get("origin")
-    if origin is not None and urlsplit(origin).netloc != socket.headers.get("host"):
+    if of_another_origin(socket):
         return None
-    wanted: str | None = socket.app.state.token
-    if wanted is not None and any(secrets.compare_digest(_token(part), wanted.encode()) for part in offered):
-        return offered
-    check_token(socket)
+    check_access(socket, [_token(part) for part in offered if part.startswith(TOKEN_PREFIX)])
     return offered
 
 
 def _token(part: str) -> bytes:
-    if not part.startswith(TOKEN_PREFIX):
-        return b""
     text = part.removeprefix(TOKEN_PREFIX)
     try:
         return base64.urlsafe_b64decode(text + "=" * (-len(text) % 4))

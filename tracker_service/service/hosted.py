@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import threading
 import time
-import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -307,7 +306,7 @@ class HostedCharacter:
             backup = self._simulation.snapshot()
             try:
                 self._simulation.restore(meta, np.asarray(state), rest)
-            except (InvalidInputError, zipfile.BadZipFile) as error:
+            except InvalidInputError as error:
                 self._simulation.restore(*backup)
                 raise InvalidInputError(f"the snapshot is damaged: {error}", field="buffers") from error
             first = int(meta["first_sample"])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import zipfile
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.errors import InvalidInputError
+from shared.npz import SNAPSHOT_BYTES, read_npz
 from shared.protocol.base import PROTOCOL_VERSION
 from tracker_service.simulation.recorder import Samples
 
@@ -38,10 +38,9 @@ def split_buffers(meta: Mapping[str, Any], buffers: npt.NDArray[np.uint8]) -> tu
     try:
         size = int(meta["tail_bytes"])
         int(meta["first_sample"]), int(meta["seed"])
-        with np.load(io.BytesIO(buffers[:size].tobytes()), allow_pickle=False) as data:
-            tail: Samples = {name: data[name] for name in data.files}
+        tail: Samples = read_npz(buffers[:size].tobytes(), SNAPSHOT_BYTES)
         if "fallen" not in tail:
             raise ValueError("the log is missing")
-    except (KeyError, ValueError, TypeError, OSError, EOFError, zipfile.BadZipFile) as error:
+    except (InvalidInputError, KeyError, ValueError, TypeError) as error:
         raise InvalidInputError(f"the snapshot is damaged: {error}", field="buffers") from error
     return tail, buffers[size:]

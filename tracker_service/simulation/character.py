@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from shared.errors import InvalidInputError, SimulationError
 from shared.motion.rotations import cross, matrix_from_quat
+from shared.npz import SNAPSHOT_BYTES, read_npz
 from shared.plugins.interfaces import Tracker, TrackerObservation
 from shared.protocol.rates import PHYSICS_HZ, PLANNER_FPS, TICK_HZ
 from tracker_service.simulation.contacts import Contacts
@@ -325,8 +326,7 @@ class SimulatedCharacter:
         if state.shape != (size,):
             raise InvalidInputError(f"the state has shape {state.shape}", field="state", allowed=f"({size},)")
         try:
-            with np.load(io.BytesIO(buffers.tobytes()), allow_pickle=False) as data:
-                arrays = {name: data[name] for name in data.files}
+            arrays = read_npz(buffers.tobytes(), SNAPSHOT_BYTES)
             reference = self.reference.copy()
             reference.from_arrays({name[4:]: arrays[name] for name in arrays if name.startswith("ref_")})
             self.reference = reference
@@ -334,7 +334,7 @@ class SimulatedCharacter:
             self.tick = int(meta["tick"])
             self._fall.down_ticks = int(meta["down_ticks"])
             self._low = [(int(tick), bool(low)) for tick, low in meta["low"]]
-        except (KeyError, ValueError, TypeError, OSError) as error:
+        except (InvalidInputError, KeyError, ValueError, TypeError) as error:
             raise InvalidInputError(f"the snapshot is damaged: {error}", field="buffers") from error
         mujoco.mj_setState(self.scene.model, self._data, np.ascontiguousarray(state, dtype=np.float64), _STATE)
         # Contacts are not part of the state; forward finds them again, then the warm start is put back.

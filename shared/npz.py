@@ -1,0 +1,62 @@
+"""Reading .npz bytes that came from somewhere else: nothing larger than a limit is unpacked, nothing is unpickled."""
+
+from __future__ import annotations
+
+import io
+import math
+import tokenize
+import zipfile
+import zlib
+
+import numpy as np
+from numpy.lib import format as npy
+
+from shared.errors import InvalidInputError
+
+Arrays = dict[str, np.ndarray]
+SNAPSHOT_BYTES = 32 * 2**20
+"""The most that a part of a snapshot may unpack to; on the wire it is at most 8 MB, and not compressed."""
+
+_DAMAGED = (
+    zipfile.BadZipFile, zlib.error, tokenize.TokenError, SyntaxError, OSError, EOFError, ValueError,
+    NotImplementedError, RuntimeError, MemoryError,
+)  # fmt: skip
+"""What zipfile and numpy raise for bytes that are not theirs; numpy reads a header as Python's literals."""
+
+
+def read_npz(data: bytes, limit_bytes: int) -> Arrays:
+    """The arrays of an .npz by name.
+
+    What is said of sizes is checked before anything is unpacked: of the archive's members against the limit, of the
+    arrays against their members. So neither a small archive of many zeros nor a small array of a huge shape takes
+    memory.
+
+    Args:
+        limit_bytes: of all members, unpacked.
+
+    Raises:
+        InvalidInputError: these are no such bytes, or they are too much.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = archive.infolist()
+            whole = sum(member.file_size for member in members)
+            if whole > limit_bytes:
+                raise InvalidInputError(f"the arrays have {whole} bytes", allowed=f"at most {limit_bytes} bytes")
+            return {m.filename.removesuffix(".npy"): _array(archive.read(m), m.filename) for m in members}
+    except _DAMAGED as error:
+        raise InvalidInputError(f"these are no arrays: {error}") from error
+
+
+def _array(data: bytes, name: str) -> np.ndarray:
+    stream = io.BytesIO(data)
+    read_header = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}.get(npy.read_magic(stream))
+    if read_header is None:
+        raise ValueError(f"{name} has an unknown format")
+    shape, fortran, dtype = read_header(stream)
+    if dtype.hasobject:
+        raise ValueError(f"{name} holds objects")
+    raw = data[stream.tell() :]
+    if len(raw) != math.prod(shape) * dtype.itemsize:
+        raise ValueError(f"{name} has {len(raw)} bytes, its shape says {math.prod(shape) * dtype.itemsize}")
+    return np.frombuffer(bytearray(raw), dtype).reshape(shape, order="F" if fortran else "C")
