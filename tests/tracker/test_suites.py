@@ -38,6 +38,22 @@ def test_a_push_gives_the_whole_body_its_momentum() -> None:
     env.close()
 
 
+def test_training_knocks_limbs_and_says_whom(monkeypatch: pytest.MonkeyPatch) -> None:
+    references = prepare(HUMAN, [MotionInput("a", "stand", 1.0, standing_clip(60, 30.0).positions_w_m)])
+    quiet = {"push_chance": 0.0, "jump_chance": 0.0, "noise_hinge_rad": 0.0, "noise_root_m": 0.0, "noise_rate": 0.0}
+    env = TrackingEnv(HUMAN, references, EnvSettings(envs=30, knock_chance=0.5, **quiet), seed=0)
+    env.reset_all()
+    before = env.qvel.copy()
+    knocked = env._disturb()
+    assert 5 < len(knocked) < 25
+    changed = np.flatnonzero(np.abs(env.qvel - before).max(axis=1) > 1e-9)
+    np.testing.assert_array_equal(changed, knocked)
+    # What is remembered of the bodies is what they are.
+    fresh = env.kinematics.states(env.qpos, env.qvel)
+    np.testing.assert_allclose(env.bodies().linvel_w_mps, fresh.linvel_w_mps, atol=1e-9)
+    env.close()
+
+
 def test_jitter_is_the_acceleration_of_a_sine() -> None:
     t = np.arange(3000) / 30.0
     motion = np.zeros((3000, 1, 3))

@@ -27,6 +27,7 @@ from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.simulation.kinematics import BodyKinematics, BodyStates
 from tracker_service.training import rewards
 from tracker_service.training.dataset import ReferenceSet
+from tracker_service.training.knocks import Knocks
 from tracker_service.training.sampling import FailureTable
 from tracker_service.training.seats import CONTROL_SPEC, HEIGHTS, height_points, mocap_of, seat_heights, training_model
 
@@ -36,6 +37,7 @@ Bools = npt.NDArray[np.bool_]
 
 SUBSTEPS = PHYSICS_HZ // TICK_HZ
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
+KNOCKED = ("wrist", "elbow", "foot", "knee")
 _TAIL_TICKS = max(PREVIEW_TICKS) + 1
 
 
@@ -49,6 +51,7 @@ class EnvSettings(BaseModel):
         stop_mean_m, stop_max_m: mean and largest joint distance that end an episode.
         noise_*: of the starting state. push_*: chance a tick and size of a sudden change of the root's velocity.
         heights: observations end with the heights of what is underfoot and under the seat (`training.seats`).
+        knock_*: chance a tick and most of an impulse on a hand, foot, elbow or knee.
         jump_*: chance a tick and size of a sideways jump of the reference, which decays by jump_decay a tick
             (a plan's junction).
     """
@@ -65,6 +68,8 @@ class EnvSettings(BaseModel):
     noise_rate: float = 0.1
     push_chance: float = 1 / 150
     push_mps: float = 0.3
+    knock_chance: float = 1 / 240
+    knock_ns: float = 25.0
     jump_chance: float = 1 / 120
     jump_m: float = 0.05
     jump_decay: float = 0.92
@@ -123,6 +128,8 @@ class TrackingEnv:
         self.hinges = h
         self._nq, self._nv = self.model.nq, self.model.nv
         self._bodies: BodyStates | None = None
+        self._knocks = Knocks(self.model)
+        self._limbs = [self.model.body(f"{side}_{part}").id for side in ("left", "right") for part in KNOCKED]
 
     def close(self) -> None:
         """Stop the physics threads."""
@@ -316,10 +323,22 @@ class TrackingEnv:
         """Now and then push the root, or let the reference jump sideways; which environments."""
         s, b = self.settings, self.settings.envs
         pushed = np.flatnonzero(self.rng.random(b) < s.push_chance)
+        knocked = np.flatnonzero(self.rng.random(b) < s.knock_chance)
+        for row in knocked:
+            body = int(self.rng.choice(self._limbs))
+            way = self.rng.normal(size=3)
+            impulse = way / np.linalg.norm(way) * self.rng.random() * s.knock_ns
+            self.add_velocity(int(row), self._knocks.change(self.qpos[row], self.qvel[row], body, impulse))
+        self._refresh(knocked)
         if len(pushed):
             self.state[pushed, 1 + self._nq : 3 + self._nq] += self.rng.normal(size=(len(pushed), 2)) * s.push_mps
             self._refresh(pushed)
         jumped = np.flatnonzero(self.rng.random(b) < s.jump_chance)
         if len(jumped):
             self.jump_m[jumped] = self.rng.normal(size=(len(jumped), 2)) * s.jump_m
-        return np.union1d(pushed, jumped)
+        return np.union1d(np.union1d(pushed, jumped), knocked)
+
+    def add_velocity(self, row: int, change: npt.NDArray[np.float64]) -> None:
+        """Add to the qvel of one environment, (V,); `moved` or `_refresh` is the caller's to call."""
+        first = 1 + self._nq
+        self.state[row, first : first + self._nv] += change

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import mujoco
 import numpy as np
 import numpy.typing as npt
@@ -9,26 +11,37 @@ import numpy.typing as npt
 from shared.data.corpus import Corpus
 from shared.errors import InvalidInputError
 from tracker_service.training.dataset import MotionInput
-from tracker_service.training.env import TrackingEnv
+
+if TYPE_CHECKING:
+    from tracker_service.training.env import TrackingEnv
 
 Floats = npt.NDArray[np.float64]
 
 WALKS = 4
 
 
+class Knocks:
+    """Velocity changes that impulses on bodies of a model make."""
+
+    def __init__(self, model: mujoco.MjModel):
+        self._model, self._data = model, mujoco.MjData(model)
+
+    def change(self, qpos: Floats, qvel: Floats, body: int, impulse_w_ns: Floats) -> Floats:
+        """(V,) change of qvel by an impulse (3,) at the centre of mass of a body, by its MuJoCo id."""
+        model, data = self._model, self._data
+        data.qpos[:], data.qvel[:] = qpos, qvel
+        mujoco.mj_forward(model, data)
+        force, change = np.zeros((1, model.nv)), np.zeros((1, model.nv))
+        mujoco.mj_applyFT(model, data, impulse_w_ns, np.zeros(3), data.xipos[body], body, force[0])
+        mujoco.mj_solveM(model, data, change, force)
+        return np.asarray(change[0])
+
+
 def push(env: TrackingEnv, rows: npt.NDArray[np.int64], impulse_w_ns: Floats) -> None:
     """Change velocities of some environments as an impulse (N, 3) at the pelvis' centre of mass does."""
-    model, data = env.model, mujoco.MjData(env.model)
-    body = model.body("pelvis").id
-    nq, nv = model.nq, model.nv
+    knocks, body = Knocks(env.model), env.model.body("pelvis").id
     for row, impulse in zip(rows, impulse_w_ns, strict=True):
-        data.qpos[:] = env.state[row, 1 : 1 + nq]
-        data.qvel[:] = env.state[row, 1 + nq : 1 + nq + nv]
-        mujoco.mj_forward(model, data)
-        force, change = np.zeros((1, nv)), np.zeros((1, nv))
-        mujoco.mj_applyFT(model, data, impulse, np.zeros(3), data.xipos[body], body, force[0])
-        mujoco.mj_solveM(model, data, change, force)
-        env.state[row, 1 + nq : 1 + nq + nv] += change[0]
+        env.add_velocity(int(row), knocks.change(env.qpos[row], env.qvel[row], body, impulse))
     env.moved()
 
 
