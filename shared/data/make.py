@@ -39,7 +39,7 @@ _JOG_MPS = 2.1
 
 COUNTS = {
     "idle": 60, "turn": 130, "wave": 100, "walk_wave": 40, "start": 60, "stop": 60, "walk_turn": 60, "run_mix": 120,
-    "jump": 60, "step": 210, "walk_back": 50, "sit": 120, "walk_sit": 50, "rise": 130, "strike": 260, "get_up": 120,
+    "jump": 60, "step": 210, "walk_back": 50, "sit": 120, "walk_sit": 50, "rise": 130, "strike": 340, "get_up": 120,
 }  # fmt: skip
 """Pieces of each kind made for training; the held-out split gets a tenth."""
 

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from shared.data.balance import leaned, on_feet
-from shared.data.label import Label
+from shared.data.label import Label, rotation_steps_rad
 from shared.data.make_paths import Source
 from shared.data.make_seats import joined
 from shared.data.make_stand import ease
@@ -20,7 +20,7 @@ from shared.data.pieces import Piece
 from shared.data.props import Strike
 from shared.data.splice import local_rotations, rebuild, stand_over_feet
 from shared.motion.body import SIDES, Array, J, heading_rad, mirror, sole_height, velocity
-from shared.motion.limbs import reach, solve_arm, solve_leg
+from shared.motion.limbs import elbow_pole, reach, solve_arm, solve_leg
 from shared.motion.rotations import matrix_about_z, wrap_angle
 from shared.motion.skeleton import CANONICAL
 
@@ -31,6 +31,8 @@ HIT_M = 0.02
 _FIST_MPS, _FOOT_M = 3.5, 0.7
 _LOWEST_M, _HIGHEST_M = 0.6, 1.6
 _BEHIND_RAD = 1.75
+_MOST_TURN_RAD = 1.0
+"""Change of a joint's rotation in a tick; recorded blows stay below it, servos cannot follow more."""
 _LEVEL_M = 0.33
 """How far below and above the shoulder a fist hits without the body going down."""
 
@@ -155,8 +157,10 @@ def punch_at(blow: Blow, height_m: float, aside_rad: float, stretch: float) -> t
     point = at + out / np.linalg.norm(out) * flat + np.array([0.0, 0.0, rise])
     w = _bell(n, max(c - 14, 0), c, min(k + 1, n - 1), min(k + 16, n - 1))
     path = p[:, wrist] + w[:, None] * (point - p[c, wrist])
+    # An elbow that is up at the end of a jab is turned down: led elsewhere it would twist through its far side.
     q = solve_arm(p, side, path)
-    return q, point
+    turned_in = 0.85 * _bell(n, max(c - 9, 0), max(c - 1, 1), min(k + 1, n - 1), min(k + 11, n - 1))
+    return solve_arm(q, side, path, elbow_pole(q, side, turned_in)), point
 
 
 def kick_at(blow: Blow, height_m: float, aside_rad: float, stretch: float) -> tuple[Array, Array]:
@@ -222,7 +226,16 @@ def strikes(maker: Maker, known: Sequence[Blow], count: int) -> None:
         frame = len(there) + blow.contact
         miss = float(np.linalg.norm(q[frame, J[blow.joint]] - point))
         if miss > HIT_M:
-            maker.report.drop(f"strike {i} from {blow.source.take}", f"misses by {1000 * miss:.0f} mm")
+            maker.report.drop(
+                f"made/{maker.split}/strike/{i:04d} from {blow.source.take}", f"misses by {1000 * miss:.0f} mm"
+            )
+            continue
+        turn = float(rotation_steps_rad(local_rotations(q)).max())
+        if turn > _MOST_TURN_RAD:
+            maker.report.drop(
+                f"made/{maker.split}/strike/{i:04d} from {blow.source.take}",
+                f"a joint turns {turn:.2f} rad in one tick",
+            )
             continue
         strike = Strike(blow.joint, (float(point[0]), float(point[1]), float(point[2])), frame)
         maker.add(action, Label(behaviour, action, side), q, blow.source, strike=strike)

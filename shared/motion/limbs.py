@@ -75,19 +75,23 @@ def knee_pole(p: Array, side: str) -> Array:
     return _steady(offset, natural, *_bones(side, "knee", "ankle"))
 
 
-def elbow_pole(p: Array, side: str) -> Array:
-    """(T, 3) where the elbow points: where it is, and back, out and down where the arm is nearly straight."""
+def elbow_pole(p: Array, side: str, relaxed: Array | float = 0.0) -> Array:
+    """(T, 3) where the elbow points: where it is, and back, out and down where the arm is nearly straight.
+
+    Args:
+        relaxed: share, (T,) or one for all, of the way from where it is to where a relaxed elbow would point.
+    """
     shoulder, elbow, wrist = (p[..., J[f"{side}_{j}"], :] for j in ("shoulder", "elbow", "wrist"))
     u = normalize(wrist - shoulder)
     offset = elbow - shoulder
     offset = offset - np.sum(offset * u, axis=-1, keepdims=True) * u
     natural = elbow_rest_direction(p, side, u)
     if offset.ndim == 2 and len(offset) > 1:
-        offset = _untwisted(offset, natural, u)
+        offset = _untwisted(offset, natural, u, relaxed)
     return _steady(offset, natural, *_bones(side, "elbow", "wrist"))
 
 
-def _untwisted(offset: Array, natural: Array, u: Array) -> Array:
+def _untwisted(offset: Array, natural: Array, u: Array, relaxed: Array | float) -> Array:
     """Offsets (T, 3) of an elbow turned about the arm's line `u` to within _ELBOW_RAD of `natural`.
 
     No upper arm turns all the way round, and where it would pass the far side its twist would jump by a whole turn.
@@ -106,7 +110,7 @@ def _untwisted(offset: Array, natural: Array, u: Array) -> Array:
     weight = np.where(size > _SEEN_M, size, 0.0)
     around, total = (gaussian_filter1d(x, _POLE_SMOOTHING_FRAMES, mode="nearest") for x in (angle * weight, weight))
     share = np.clip((size - _SEEN_M) / _CLEAR_M, 0.0, 1.0)
-    kept = share * angle + (1 - share) * around / (total + _SEEN_M)
+    kept = (1 - np.asarray(relaxed)) * (share * angle + (1 - share) * around / (total + _SEEN_M))
     out = np.cos(kept)[..., None] * natural + np.sin(kept)[..., None] * np.cross(u, natural)
     # Turned away from its natural side a nearly stretched arm must not swing back through a mean of opposite vectors.
     return np.asarray(out * np.maximum(size, _CLEAR_M * np.abs(kept) / near)[..., None])
