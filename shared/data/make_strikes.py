@@ -225,17 +225,11 @@ def strikes(maker: Maker, known: Sequence[Blow], count: int) -> None:
         q = joined(q, back)
         frame = len(there) + blow.contact
         miss = float(np.linalg.norm(q[frame, J[blow.joint]] - point))
-        if miss > HIT_M:
-            maker.report.drop(
-                f"made/{maker.split}/strike/{i:04d} from {blow.source.take}", f"misses by {1000 * miss:.0f} mm"
-            )
-            continue
         turn = float(rotation_steps_rad(local_rotations(q)).max())
-        if turn > _MOST_TURN_RAD:
-            maker.report.drop(
-                f"made/{maker.split}/strike/{i:04d} from {blow.source.take}",
-                f"a joint turns {turn:.2f} rad in one tick",
-            )
+        wrong = f"misses by {1000 * miss:.0f} mm" if miss > HIT_M else ""
+        wrong = wrong or (f"a joint turns {turn:.2f} rad in one tick" if turn > _MOST_TURN_RAD else "")
+        if wrong:
+            maker.report.drop(f"made/{maker.split}/strike/{i:04d} from {blow.source.take}", wrong)
             continue
         strike = Strike(blow.joint, (float(point[0]), float(point[1]), float(point[2])), frame)
         maker.add(action, Label(behaviour, action, side), q, blow.source, strike=strike)
