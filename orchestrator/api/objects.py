@@ -11,6 +11,7 @@ from orchestrator.api.deps import CharacterId, Core, EpisodeId
 from orchestrator.api.problems import RESPONSES
 from shared.errors import InvalidInputError, NotFoundError
 from shared.protocol.messages import SetObject, StateFrame
+from shared.protocol.rest import ObjectState
 from shared.scenes.schema import Scene
 
 router = APIRouter(prefix="/v1", tags=["objects"], responses=RESPONSES)
@@ -52,26 +53,14 @@ class ObjectBody(BaseModel):
         return self
 
 
-class ObjectState(BaseModel):
-    """An object of the scene: pose of its frame in the world and how it moves."""
-
-    name: str
-    position_m: tuple[float, float, float]
-    rotation_wxyz: tuple[float, float, float, float]
-    velocity_mps: tuple[float, float, float]
-    angular_velocity_radps: tuple[float, float, float]
-
-    @classmethod
-    def of(cls, state: StateFrame) -> list[ObjectState]:
-        """All objects of a state."""
-        columns = (
-            state.object_pos_w_m, state.object_quat_w, state.object_linvel_w_mps, state.object_angvel_w_radps,
-        )  # fmt: skip
-        rows = [[tuple(round(float(v), 5) for v in row) for row in column] for column in columns]
-        return [
-            cls(name=name, position_m=p, rotation_wxyz=q, velocity_mps=v, angular_velocity_radps=w)
-            for name, p, q, v, w in zip(state.objects, *rows, strict=True)
-        ]
+def states_of(state: StateFrame) -> list[ObjectState]:
+    """All objects of a state."""
+    columns = (state.object_pos_w_m, state.object_quat_w, state.object_linvel_w_mps, state.object_angvel_w_radps)
+    rows = [[tuple(round(float(v), 5) for v in row) for row in column] for column in columns]
+    return [
+        ObjectState(name=name, position_m=p, rotation_wxyz=q, velocity_mps=v, angular_velocity_radps=w)
+        for name, p, q, v, w in zip(state.objects, *rows, strict=True)
+    ]
 
 
 class ObjectList(BaseModel):
@@ -97,7 +86,7 @@ async def episode_scene(core: Core, episode_id: EpisodeId) -> Scene:
 async def objects(core: Core, character_id: CharacterId) -> ObjectList:
     """Where the objects are now and how they move."""
     state = core.character(str(character_id)).state
-    return ObjectList(tick=state.tick, items=ObjectState.of(state))
+    return ObjectList(tick=state.tick, items=states_of(state))
 
 
 @router.put("/characters/{character_id}/objects/{name}")
@@ -118,7 +107,7 @@ async def move_object(
         field = _CALLED_HERE.get(error.field or "", error.field)
         allowed = ", ".join(_CALLED_HERE.get(word, word) for word in (error.allowed or "").split(" and "))
         raise InvalidInputError(error.message, field=field, allowed=allowed or None) from error
-    return next(item for item in ObjectState.of(state) if item.name == name)
+    return next(item for item in states_of(state) if item.name == name)
 
 
 def _there(scene: Scene | None) -> Scene:

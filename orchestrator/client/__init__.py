@@ -7,7 +7,7 @@ from orchestrator.client.errors import ServerProblem
 from orchestrator.client.models import CharacterInfo, EpisodeInfo, PlanGhost, State
 from orchestrator.client.motion import Motion
 from orchestrator.client.sync import Character, Client, Episode
-from shared.protocol.rest import Event, ServiceInfo, ServicesInfo, TaskResult
+from shared.protocol.rest import Event, ObjectState, ServiceInfo, ServicesInfo, TaskResult
 
 __all__ = [
     "AsyncCharacter",
@@ -20,6 +20,7 @@ __all__ = [
     "EpisodeInfo",
     "Event",
     "Motion",
+    "ObjectState",
     "PlanGhost",
     "ServerProblem",
     "ServiceInfo",

@@ -22,7 +22,7 @@ from orchestrator.client.models import CharacterInfo, CommandTaken, EpisodeInfo,
 from orchestrator.client.motion import Motion
 from orchestrator.client.sync import QUIET_S
 from shared.errors import ConflictError, DeadlineError, MotionLoopError
-from shared.protocol.rest import Event, ServiceInfo, ServicesHealth, ServicesInfo
+from shared.protocol.rest import Event, ObjectState, ServiceInfo, ServicesHealth, ServicesInfo
 
 T = TypeVar("T")
 
@@ -156,6 +156,14 @@ class AsyncCharacter:
     async def push(self, body: str, impulse_ns: Sequence[float]) -> State:
         """Push a body: newton seconds in the world frame."""
         return await self._client.do(calls.push(self.id, body, impulse_ns))
+
+    async def objects(self) -> dict[str, ObjectState]:
+        """The objects of its scene by name, now."""
+        return await self._client.do(calls.objects(self.id))
+
+    async def move_object(self, name: str, **options: Unpack[calls.ObjectOptions]) -> ObjectState:
+        """Put an object somewhere, and give it a velocity."""
+        return await self._client.do(calls.move_object(self.id, name, options))
 
     async def pause(self) -> State:
         """Stop its clock."""

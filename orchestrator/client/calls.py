@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Generic, Literal, TypedDict, TypeVar
+from typing import Any, Generic, Literal, TypedDict, TypeVar, cast
 from urllib.parse import urlsplit, urlunsplit
 
 from pydantic import BaseModel, ValidationError
@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 from orchestrator.client.models import CharacterInfo, CommandTaken, EpisodeInfo, State
 from orchestrator.client.motion import Motion
 from shared.errors import InvalidInputError, MalformedMessageError
-from shared.protocol.rest import ServiceInfo, ServicesHealth, ServicesInfo, StateFields
+from shared.protocol.rest import ObjectState, ServiceInfo, ServicesHealth, ServicesInfo, StateFields
 from shared.protocol.security import is_loopback
 
 T = TypeVar("T")
@@ -35,13 +35,13 @@ FORMATS: tuple[Format, ...] = ("npz", "bvh", "csv", "glb", "mp4")
 class CharacterOptions(TypedDict, total=False):
     """What a character can be made with; all optional.
 
-    character: `human`, `child` (1.2 m) or `heavy` (1.9 m, 130 kg).
+    character: `human`, `child` (1.2 m) or `heavy` (1.9 m, 130 kg). scene: a name, or the scene itself (docs/scenes.md).
     pacing: `realtime` runs by the wall clock, `lockstep` when `step` is called. planner, tracker: plug-ins by name.
     on_fall: `stay`, `reset` (put on its feet) or `get_up`.
     """
 
     character: str
-    scene: str
+    scene: str | Mapping[str, Any]
     planner: str | None
     tracker: str | None
     pacing: Literal["realtime", "lockstep"]
@@ -70,12 +70,21 @@ class CommandOptions(TypedDict, total=False):
     replan: Literal["now", "next"]
 
 
+class ObjectOptions(TypedDict, total=False):
+    """Where an object should be and how it should move; what is left out stays. World frame, metres, per second."""
+
+    position_m: Sequence[float]
+    rotation_wxyz: Sequence[float]
+    velocity_mps: Sequence[float]
+    angular_velocity_radps: Sequence[float]
+
+
 class EpisodeOptions(TypedDict, total=False):
     """What an episode can be told beside its tasks; all optional, as `POST /v1/episodes` takes them."""
 
     name: str | None
     character: str
-    scene: str
+    scene: str | Mapping[str, Any]
     order: Literal["sequence", "random"]
     seed: int
     pacing: Literal["lockstep", "realtime"]
@@ -167,6 +176,17 @@ def push(character_id: str, body: str, impulse_ns: Sequence[float]) -> Call[Stat
     """Push a body, newton seconds in the world frame."""
     sent = {"body": body, "impulse_ns": list(impulse_ns)}
     return Call("POST", f"/v1/characters/{character_id}/impulses", _state, sent)
+
+
+def objects(character_id: str) -> Call[dict[str, ObjectState]]:
+    """The objects of the scene by name, now."""
+    return Call("GET", f"/v1/characters/{character_id}/objects", _by_name)
+
+
+def move_object(character_id: str, name: str, options: ObjectOptions) -> Call[ObjectState]:
+    """Put an object somewhere, at once."""
+    sent = {key: list(cast(Sequence[float], value)) for key, value in options.items()}
+    return Call("PUT", f"/v1/characters/{character_id}/objects/{name}", _model(ObjectState), sent)
 
 
 def act(character_id: str, what: Literal["reset", "pause", "resume"]) -> Call[State]:
@@ -301,6 +321,10 @@ def _model(kind: type[M]) -> Callable[[bytes], M]:
 
 def _items(kind: type[M]) -> Callable[[bytes], list[M]]:
     return lambda data: [kind.model_validate(item) for item in json.loads(data)["items"]]
+
+
+def _by_name(data: bytes) -> dict[str, ObjectState]:
+    return {item.name: item for item in _items(ObjectState)(data)}
 
 
 def _state(data: bytes) -> State:

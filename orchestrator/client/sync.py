@@ -20,7 +20,7 @@ from orchestrator.client.errors import ServerProblem, no_connection, problem_of,
 from orchestrator.client.models import CharacterInfo, CommandTaken, EpisodeInfo, PlanGhost, State, event_of, message_of
 from orchestrator.client.motion import Motion
 from shared.errors import ConflictError, DeadlineError, MotionLoopError
-from shared.protocol.rest import Event, ServiceInfo, ServicesHealth, ServicesInfo
+from shared.protocol.rest import Event, ObjectState, ServiceInfo, ServicesHealth, ServicesInfo
 
 T = TypeVar("T")
 QUIET_S = 120.0
@@ -163,6 +163,15 @@ class Character:
     def push(self, body: str, impulse_ns: Sequence[float]) -> State:
         """Push a body, e.g. `push("spine3", (0, 30, 0))`: newton seconds in the world frame."""
         return self._client.do(calls.push(self.id, body, impulse_ns))
+
+    @property
+    def objects(self) -> dict[str, ObjectState]:
+        """The objects of its scene by name, now."""
+        return self._client.do(calls.objects(self.id))
+
+    def move_object(self, name: str, **options: Unpack[calls.ObjectOptions]) -> ObjectState:
+        """Put an object somewhere, e.g. `move_object("ball", position_m=(2, 0, 1), velocity_mps=(-6, 0, 2))`."""
+        return self._client.do(calls.move_object(self.id, name, options))
 
     def pause(self) -> State:
         """Stop its clock."""

@@ -101,6 +101,16 @@ class CommandReading(Body):
         return taken or bool(self.ignored_conditions) or bool(self.unreachable_joints)
 
 
+class ObjectState(Body):
+    """An object of the scene: pose of its frame in the world and how it moves."""
+
+    name: str
+    position_m: tuple[float, float, float]
+    rotation_wxyz: tuple[float, float, float, float]
+    velocity_mps: tuple[float, float, float]
+    angular_velocity_radps: tuple[float, float, float]
+
+
 class TaskResult(Body):
     """How one task of an episode went.
 
