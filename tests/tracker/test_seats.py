@@ -49,7 +49,8 @@ def test_limp_bodies_come_to_rest_on_their_own_seats(references: ReferenceSet) -
         env.advance(np.zeros((3, env.hinges), np.float32))
         lowest.append(env.bodies().pos_w_m[:, 0, 2].copy())
     high, low, floor = np.min(lowest, axis=0)
-    assert HIGH[2] + 0.05 < high < HIGH[2] + 0.2
+    top = references.seat[0, 2]
+    assert top + 0.05 < high < top + 0.2
     assert LOW[2] + 0.05 < low < high - 0.1
     assert floor < low - 0.1
     env.close()
@@ -58,7 +59,7 @@ def test_limp_bodies_come_to_rest_on_their_own_seats(references: ReferenceSet) -
 def test_heights_are_the_seats_top_below_the_pelvis_only(references: ReferenceSet) -> None:
     env = TrackingEnv(HUMAN, references, EnvSettings(envs=3, heights=True), seed=0)
     seen = env.start_at(np.arange(3))[:, -HEIGHTS:]
-    assert seen[0, -1] == np.float32(0.45) and seen[1, -1] == np.float32(0.25) and not seen[2].any()
+    assert seen[0, -1] == np.float32(references.seat[0, 2]) and seen[1, -1] == np.float32(0.25) and not seen[2].any()
     assert not seen[0, 8]  # 0.4 m ahead and to the left is beyond the seat's edge
     bodies = env.bodies()
     points = height_points(bodies.pos_w_m, bodies.rot_w[:, 0, :, 0], FEET)
@@ -79,4 +80,17 @@ def test_torch_and_its_mirror_see_the_same(references: ReferenceSet) -> None:
     grid = other[:, :9].view(3, 3, 3).flip(2).flatten(1)
     torch.testing.assert_close(torch.cat([grid, other[:, [10, 9, 11]]], 1), heights)
     assert heights[:2].any()
+    env.close()
+
+
+def test_a_seat_is_lowered_until_who_sits_is_not_in_it() -> None:
+    stand = standing_clip(40, 30.0).positions_w_m
+    # A seat whose top is well above the lowest point of the pelvis, and one out of reach below.
+    deep, free = (0.0, 0.0, 0.90, 0.0), (0.0, 0.0, 0.30, 0.0)
+    made = prepare(HUMAN, [MotionInput("deep", "sit", 1.0, stand, deep), MotionInput("free", "sit", 1.0, stand, free)])
+    assert 0.3 < made.seat[0, 2] < 0.9 - 0.02
+    np.testing.assert_allclose(made.seat[1], free)
+    env = TrackingEnv(HUMAN, made, EnvSettings(envs=2, heights=True), seed=0)
+    env.start_at(np.arange(2))
+    assert env.observe()[0, -1] == np.float32(made.seat[0, 2])
     env.close()

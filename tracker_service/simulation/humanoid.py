@@ -114,8 +114,9 @@ def _geoms(skeleton: Skeleton, joint: str) -> list[dict[str, object]]:
     if kind == "elbow":
         return [along(prefix + "wrist", 0.034, 0.02)]
     if kind == "wrist":
-        ends = [0, side * 0.03 * s, 0, 0, side * 0.12 * s, 0]
-        return [{"type": capsule, "fromto": ends, "size": [0.032 * s, 0, 0]}]
+        # A hand that bears weight is bent back at the wrist, for which there is no hinge: going on along the forearm it
+        # would be 12 cm deep in the floor whenever somebody gets up from it. So the hand is the heel of the hand.
+        return [{"type": sphere, "pos": [0, side * 0.01 * s, 0], "size": [0.036 * s, 0, 0]}]
     toe = skeleton.offsets_m[skeleton.index(prefix + "foot")]
     if kind == "ankle":
         sole = -foot_height_m(skeleton)

@@ -16,13 +16,13 @@ from shared.protocol.rates import TICK_HZ
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.simulation.kinematics import BodyKinematics, qvel_from_qpos
 from tracker_service.simulation.reference import central_velocity, reference_ticks
-from tracker_service.training.seats import NO_SEAT
+from tracker_service.training.seats import NO_SEAT, lowered, training_model
 
 F32 = npt.NDArray[np.float32]
 PLAN = "plan"
 """Behaviour of recorded plans."""
 PIECE_TICKS, PIECE_OVERLAP_TICKS = 180, 60
-PREPARATION = "5"
+PREPARATION = "6"
 """Changes whenever prepared arrays would come out differently; part of the cache's key."""
 
 
@@ -122,9 +122,12 @@ def prepare(
 ) -> ReferenceSet:
     """Inverse kinematics, hinges and velocities of all clips; `progress(what, share)` is called now and then."""
     kinematics = BodyKinematics(human)
+    model = training_model(human)
+    seats: list[tuple[float, ...]] = []
     parts: dict[str, list[F32]] = {"pos_w_m": [], "linvel_w_mps": [], "rot_xy": [], "qpos": [], "qvel": []}
     for number, motion in enumerate(motions):
         ticks = reference_ticks(human, kinematics, motion.positions_w_m)
+        seats.append(lowered(model, ticks.qpos, motion.seat) if motion.seat[2] > 0 else motion.seat)
         qvel = qvel_from_qpos(ticks.qpos, TICK_HZ)
         states = kinematics.states(ticks.qpos, qvel)
         parts["pos_w_m"].append(ticks.pos_w_m.astype(np.float32))
@@ -142,7 +145,7 @@ def prepare(
         weight=np.array([m.weight for m in motions], dtype=np.float64),
         names=np.array([m.name for m in motions], dtype=np.str_),
         behaviours=np.array([m.behaviour for m in motions], dtype=np.str_),
-        seat=np.array([m.seat for m in motions], dtype=np.float64).reshape(-1, 4),
+        seat=np.array(seats, dtype=np.float64).reshape(-1, 4),
     )
 
 

@@ -68,3 +68,38 @@ def seat_heights(points_m: Floats, pelvis_height_m: Floats, seat: Floats) -> Flo
     over = (np.abs(along) <= SEAT_SIZE_M[0] / 2) & (np.abs(across) <= SEAT_SIZE_M[1] / 2)
     top = seat[:, 2:3]
     return np.where(over & (top > 0) & (top < pelvis_height_m[:, None]), top, 0.0)
+
+
+SEATED_BODIES = ("pelvis", "left_hip", "right_hip", "spine1")
+ALLOWED_M = 0.005
+STRIDE = 3
+
+
+def lowered(model: mujoco.MjModel, qpos: Floats, seat: tuple[float, float, float, float]) -> tuple[float, ...]:
+    """A clip's seat, lowered until the body that sits on it is at most ALLOWED_M deep in it.
+
+    Retargeted and made sits know joints, not flesh: their thighs are up to 7 cm deep in the block, which would throw
+    the body off it.
+
+    Args:
+        model: of `training_model`. qpos: (T, 7+H) of the clip.
+    """
+    data = mujoco.MjData(model)
+    place = mocap_of(np.array([seat]))[0]
+    data.mocap_pos[0], data.mocap_quat[0] = place[:3], place[3:]
+    block = model.body("seat").id
+    seated = {model.body(name).id for name in SEATED_BODIES}
+    deepest = []
+    for row in qpos[::STRIDE]:
+        data.qpos[:] = row
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+        depth = 0.0
+        for contact in data.contact[: data.ncon]:
+            bodies = {int(model.geom_bodyid[contact.geom1]), int(model.geom_bodyid[contact.geom2])}
+            if block in bodies and bodies & seated:
+                depth = max(depth, -float(contact.dist))
+        deepest.append(depth)
+    down = max(float(np.percentile(deepest, 95)) - ALLOWED_M, 0.0)
+    return (seat[0], seat[1], seat[2] - down, seat[3])
