@@ -117,7 +117,7 @@ def test_what_conformance_accepts_the_loop_can_run(
     assert steps_m.max() < 1.4 * np.linalg.norm(GOAL_M) / 60, "an even glide: no frame is lost or shown twice"
     if replan is not None:
         starts_every = start_spacing(fps)
-        lasts_ticks = min(plan, 2 * fps) * 30 // fps  # two seconds, if it can
+        lasts_ticks = min(plan, max(2 * fps, replan)) * 30 // fps  # two seconds, or its own period, if it can
         period = max(min(replan * 30 // fps, lasts_ticks) // starts_every, 1) * starts_every
         assert plans == -(-TICKS // period)
 
