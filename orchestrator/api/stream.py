@@ -68,7 +68,8 @@ def watched_episode(core: Orchestrator, episode_id: str) -> Watched:
     live = core.live_episode(episode_id)
     if live is None or live.outcome is not None:
         raise NotFoundError(f"no episode {episode_id} is running", field="id")
-    return Watched(live.states, live.runner.events, live.runner.loop, lambda: (str(live.runner.phase), None))
+    session = live.runner.session
+    return Watched(session.states, session.events, session.loop, lambda: (str(live.runner.phase), None))
 
 
 @router.websocket("/v1/characters/{item_id}/stream")

@@ -5,13 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from dataclasses import asdict
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
 from orchestrator.core.command import STAND, Command
-from orchestrator.core.drivers import Cycle, Driver, LockstepDriver, RealtimeDriver
+from orchestrator.core.drivers import Cycle
 from orchestrator.core.events import EventLog
 from orchestrator.core.fanout import Fanout
 from orchestrator.core.loop import CharacterLoop, view_of
@@ -19,15 +18,14 @@ from orchestrator.core.on_fall import Down, OnFall, get_up_goal
 from orchestrator.core.reading import NearestSentences, read_command
 from orchestrator.core.scenes import SceneChoice, name_of
 from orchestrator.core.services import Services
-from orchestrator.core.settings import LOCKSTEP, REALTIME, LoopSettings
+from orchestrator.core.session import Session
+from orchestrator.core.settings import LoopSettings
 from orchestrator.core.steps import SteppedGoal
 from shared.errors import ConflictError, InvalidInputError, MotionLoopError, NotFoundError, TransportError
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.base import Name
 from shared.protocol.control import Ok
 from shared.protocol.messages import (
-    CloseCharacter,
-    CreateCharacter,
     Impulse,
     Pacing,
     Seed,
@@ -70,18 +68,13 @@ class CharacterSession:
     """One commanded character: realtime ones run by themselves, lockstep ones when `advance` is called."""
 
     def __init__(self, character_id: str, spec: CharacterSpec, services: Services, events: EventLog):
-        settings = spec.loop or (LOCKSTEP if spec.pacing == "lockstep" else REALTIME)
         self.character_id = character_id
         self.spec = spec
         self.events = events
-        self.states: Fanout[StateFrame] = Fanout()
-        self.loop = CharacterLoop(character_id, services, settings, spec.seed, spec.planner)
-        self.scene: Scene | None = None
         self.status: Status = "running"
         self.reason: str | None = None
         self._services = services
-        self._state: StateFrame | None = None
-        self._driver: Driver | None = None
+        self._session = Session(character_id, spec, services, events)
         self._source = SteppedGoal(STAND, 0)
         self._nearest = NearestSentences()
         self._runner: asyncio.Task[None] | None = None
@@ -93,9 +86,22 @@ class CharacterSession:
     @property
     def state(self) -> StateFrame:
         """The newest state seen; raises ConflictError before `start`."""
-        if self._state is None:
-            raise ConflictError("the character was not started")
-        return self._state
+        return self._session.state
+
+    @property
+    def states(self) -> Fanout[StateFrame]:
+        """For viewers."""
+        return self._session.states
+
+    @property
+    def loop(self) -> CharacterLoop:
+        """Its plans and its tracker."""
+        return self._session.loop
+
+    @property
+    def scene(self) -> Scene | None:
+        """As its seed made it; None where only the tracker knows it."""
+        return self._session.scene
 
     @property
     def command(self) -> Command:
@@ -104,23 +110,11 @@ class CharacterSession:
 
     async def start(self) -> StateFrame:
         """Make it at the tracker and, in realtime, let it run."""
-        scenes, choice = self._services.scenes, self.spec.scene
-        self.scene = scenes.chosen(choice, self.spec.seed)
-        request = CreateCharacter(
-            character=self.spec.character,
-            scene=scenes.for_tracker(choice, self.spec.seed),
-            tracker=self.spec.tracker or self._services.tracker.plugin,
-            pacing=self.spec.pacing,
-            seed=self.spec.seed,
-        )
-        self._state = await self.loop.ask_tracker(StateFrame, request)
-        if self.spec.pacing == "lockstep":
-            self._driver = LockstepDriver(self.loop, self._state)
-        else:
-            self._driver = RealtimeDriver(self.loop, self._state)
-            self._run_on(self._driver)
-        self.events.emit("created", self._state.tick, scene=name_of(choice), pacing=self.spec.pacing)
-        return self._state
+        state = await self._session.start()
+        if self.spec.pacing == "realtime":
+            self._run_on()
+        self.events.emit("created", state.tick, scene=name_of(self.spec.scene), pacing=self.spec.pacing)
+        return state
 
     def _goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
         """What the newest command asks for: it may have come while a cycle was already under way."""
@@ -134,8 +128,8 @@ class CharacterSession:
         command.check_reachable(view_of(self.state))
         if command != self.command or command.keyframes:  # repeated, it goes on: what counts down must not start anew
             self._source = SteppedGoal(command, self.state.tick)
-        if command.replan == "now" and self._driver is not None:
-            self._driver.replan_now()
+        if command.replan == "now":
+            self._session.replan_now()
         self.loop.trace_id = current_trace()
         self.events.emit("command", self.state.tick, **command.model_dump(mode="json", exclude_none=True))
         return self.state.tick
@@ -159,13 +153,12 @@ class CharacterSession:
         if self.spec.pacing == "realtime":
             return await self._advance_paused(ticks)
         async with self._lock:
-            if self._driver is not None:
-                await self._until(self._driver, self.state.tick + ticks)
+            await self._until(self.state.tick + ticks)
         return self.state
 
-    async def _until(self, driver: Driver, tick: int) -> None:
+    async def _until(self, tick: int) -> None:
         while self.state.tick < tick:
-            await self._cycle(driver, tick - self.state.tick)
+            await self._cycle(tick - self.state.tick)
 
     async def _advance_paused(self, ticks: int) -> StateFrame:
         """Lockstep for a moment: the same loop, so that its plans follow those made by the clock."""
@@ -176,10 +169,11 @@ class CharacterSession:
                 )
             start = await self.loop.ask_tracker(StateFrame, SetPacing(pacing="lockstep", paused=True))
             try:
-                await self._until(LockstepDriver(self.loop, start), start.tick + ticks)
+                with self._session.in_lockstep(start):
+                    await self._until(start.tick + ticks)
             finally:
                 held = SetPacing(pacing="realtime", paused=True)
-                self._state = await self.loop.ask_tracker(StateFrame, held)
+                self._session.show(await self.loop.ask_tracker(StateFrame, held))
             self.events.emit("stepped", self.state.tick, ticks=ticks)
         return self.state
 
@@ -195,23 +189,20 @@ class CharacterSession:
         """Put an object of the scene somewhere, at once; raises InvalidInputError for one that cannot move so."""
         self._check_alive()
         async with self._lock:
-            self._state = await self.loop.ask_tracker(StateFrame, message)
-        self.events.emit("object", self._state.tick, **message.model_dump(mode="json", exclude_none=True))
-        return self._state
+            self._session.show(await self.loop.ask_tracker(StateFrame, message))
+        self.events.emit("object", self.state.tick, **message.model_dump(mode="json", exclude_none=True))
+        return self.state
 
     async def reset(self) -> StateFrame:
         """Stand it up where it is; the command becomes standing. One that has failed runs again."""
         self._check_alive(even_failed=True)
         async with self._lock:
-            self._state = await self.loop.reset()
-            self._source = SteppedGoal(STAND, self._state.tick)
-            if self._driver is not None:
-                await self._driver.drop_plan()
-            self.events.emit("reset", self._state.tick)
+            state = await self._session.reset()
+            self._source = SteppedGoal(STAND, state.tick)
         if self.status == "failed":
             self.status, self.reason, self._refusals = "running", None, 0
-            if isinstance(self._driver, RealtimeDriver):
-                self._run_on(self._driver)
+            if self.spec.pacing == "realtime":
+                self._run_on()
         return self.state
 
     async def pause(self, paused: bool) -> StateFrame:
@@ -219,7 +210,7 @@ class CharacterSession:
         self._check_alive()
         if self.spec.pacing != "realtime":
             raise ConflictError("only a realtime character can be paused", field="pacing", allowed="realtime")
-        self._state = await self.loop.ask_tracker(StateFrame, SetPacing(pacing="realtime", paused=paused))
+        self._session.show(await self.loop.ask_tracker(StateFrame, SetPacing(pacing="realtime", paused=paused)))
         self.status = "paused" if paused else "running"
         self.events.emit("paused" if paused else "resumed", self.state.tick)
         return self.state
@@ -233,11 +224,8 @@ class CharacterSession:
             self._runner.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await self._runner
-        if self._driver is not None:
-            await self._driver.close()
-        with contextlib.suppress(MotionLoopError):
-            await self.loop.ask_tracker(Ok, CloseCharacter())
-        self.events.emit("closed", self._state.tick if self._state else 0)
+        await self._session.close()
+        self.events.emit("closed", self._session.tick)
         self.events.close()
         self.states.close()
 
@@ -245,49 +233,48 @@ class CharacterSession:
         if self.status == "closed" or (self.status == "failed" and not even_failed):
             raise ConflictError(f"the character is {self.status}: {self.reason or 'deleted'}", field="status")
 
-    def _run_on(self, driver: Driver) -> None:
-        self._runner = asyncio.create_task(self._run(driver), name=f"character-{self.character_id}")
+    def _run_on(self) -> None:
+        self._runner = asyncio.create_task(self._run(), name=f"character-{self.character_id}")
 
-    async def _run(self, driver: Driver) -> None:
+    async def _run(self) -> None:
         while self.status not in ("failed", "closed"):
             async with self._lock:
                 with contextlib.suppress(MotionLoopError):  # noted by _cycle in `status` and `reason`
-                    await self._cycle(driver, None)
+                    await self._cycle(None)
 
-    async def _cycle(self, driver: Driver, max_ticks: int | None) -> None:
+    async def _cycle(self, max_ticks: int | None) -> None:
         """One cycle. Whatever it raises ends as a MotionLoopError that `status`, `reason` and the events tell of."""
+        was_fallen = self.state.fallen
         try:
-            cycle = await driver.cycle(self._goal, max_ticks)
+            cycle = await self._session.cycle(self._goal, max_ticks)
         except (TransportError, NotFoundError) as error:
             self._fail(f"the tracker is gone: {error.message}")
             raise
         except MotionLoopError as error:
-            self._refused(driver, error)
+            self._refused(error)
             raise
         except Exception as error:
             log.exception("character %s broke", self.character_id)
             self._fail(f"internal: {type(error).__name__}: {error}")
             raise MotionLoopError(str(self.reason)) from error
         self._refusals = 0 if cycle.plans else self._refusals
-        self._take(cycle)
-        await self._after_fall(driver, cycle.state)
+        self._take(cycle, was_fallen)
+        await self._after_fall(cycle.state)
 
-    async def _after_fall(self, driver: Driver, state: StateFrame) -> None:
+    async def _after_fall(self, state: StateFrame) -> None:
         """See that a character goes on after a fall, as it was made to."""
         was = self._was_down
         self._was_down = down = self._down.update(view_of(state))
         fell = down and not was
         if fell and self.spec.on_fall == "reset":
-            self._state = await self.loop.reset()
+            await self._session.reset()
             self._down.clear()
             self._was_down = False
-            await driver.drop_plan()
-            self.events.emit("reset", self._state.tick)
         elif down != was and self.spec.on_fall == "get_up":
-            driver.replan_now()
+            self._session.replan_now()
             self.events.emit("getting_up" if fell else "stood_up", state.tick)
 
-    def _refused(self, driver: Driver, error: MotionLoopError) -> None:
+    def _refused(self, error: MotionLoopError) -> None:
         """The planner would not, or could not, plan: stand instead. One that cannot even plan that has failed."""
         self.events.emit("plan_refused", self.state.tick, code=error.code, message=error.message, field=error.field)
         self._refusals += 1
@@ -295,16 +282,9 @@ class CharacterSession:
             self._fail(f"the planner fails: {error.message}")
             return
         self._source = SteppedGoal(STAND, self.state.tick)
-        driver.replan_now()
+        self._session.replan_now()
 
-    def _take(self, cycle: Cycle) -> None:
-        was_fallen = self.state.fallen
-        self._state = cycle.state
-        self.states.publish(cycle.state)
-        for plan in cycle.plans:
-            self.events.emit("plan", cycle.state.tick, **asdict(plan))
-        if (error := self.loop.take_swap_error()) is not None:
-            self.events.emit("swap_failed", cycle.state.tick, reason=error)
+    def _take(self, cycle: Cycle, was_fallen: bool) -> None:
         if cycle.state.fallen and not was_fallen:
             self.events.emit("fallen", cycle.state.tick)
         if cycle.state.failure is not None:
@@ -318,6 +298,6 @@ class CharacterSession:
 
     def _fail(self, reason: str) -> None:
         self.status, self.reason = "failed", reason
-        if self._state is not None:
-            self.states.publish(self._state.model_copy())  # shown once more, with the status that it has now
-        self.events.emit("failed", self._state.tick if self._state else 0, reason=reason)
+        if self._session.created:
+            self._session.show(self.state.model_copy())  # once more, with the status that it has now
+        self.events.emit("failed", self._session.tick, reason=reason)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from orchestrator.core.agenda import Agenda
-from orchestrator.core.drivers import Cycle, Driver, LockstepDriver, RealtimeDriver
+from orchestrator.core.drivers import Cycle
 from orchestrator.core.events import EventLog
-from orchestrator.core.loop import CharacterLoop, view_of
+from orchestrator.core.loop import view_of
 from orchestrator.core.machine import (
     Action,
     MachineState,
@@ -24,12 +24,12 @@ from orchestrator.core.machine import (
 from orchestrator.core.on_fall import Down, OnFall, get_up_goal
 from orchestrator.core.scenes import SceneChoice
 from orchestrator.core.services import Services
-from orchestrator.core.settings import LOCKSTEP, REALTIME, LoopSettings
+from orchestrator.core.session import Session
+from orchestrator.core.settings import LoopSettings
 from shared.errors import ConflictError, MotionLoopError, NotFoundError, TransportError
 from shared.protocol.base import Name
-from shared.protocol.messages import TICK_HZ, CreateCharacter, Pacing, Seed, StateFrame
+from shared.protocol.messages import TICK_HZ, Pacing, Seed, StateFrame
 from shared.protocol.rest import TaskResult
-from shared.scenes.schema import Scene
 from shared.tasks.growing import GrowingTrace
 from shared.tasks.interface import BodyView, PlanGoal, Task, Trace, Verdict
 from shared.tasks.rules import SAFE_TICKS, leaning, with_falls
@@ -128,18 +128,13 @@ class EpisodeRunner:
         self.events = events
         self.results: list[TaskResult] = []
         self.tick = 0
-        self.created = False
-        self.scene: Scene | None = None
-        settings = spec.loop or (LOCKSTEP if spec.pacing == "lockstep" else REALTIME)
-        self.loop = CharacterLoop(episode_id, services, settings, spec.seed, spec.planner)
-        self._services = services
+        self.session = Session(episode_id, spec, services, events, spec.heading_rad)
         self._on_cycle = on_cycle
         self._agenda = Agenda(spec.tasks, spec.order, spec.seed)
         self._machine = MachineState()
         self._running: _Running | None = None
         self._skipped = False
         self._down = Down()
-        self._driver: Driver | None = None
         self._cancelled = False
         self._reason: str | None = None
         self._missed = 0
@@ -175,13 +170,9 @@ class EpisodeRunner:
     async def run(self) -> EpisodeOutcome:
         """Create the character, perform the tasks, say how it went. Never raises for what services do."""
         try:
-            state = await self._create()
-            self._driver = (
-                LockstepDriver(self.loop, state) if self.spec.pacing == "lockstep" else RealtimeDriver(self.loop, state)
-            )
-            await self._fire(Signal.START, state)
+            await self._fire(Signal.START, await self.session.start())
             while not self._machine.over:
-                await self._turn(self._driver)
+                await self._turn()
         except (TransportError, NotFoundError) as error:
             self._reason = f"the tracker is gone: {error.message}"
             await self._fire(Signal.TRACKER_LOST, None)
@@ -189,35 +180,15 @@ class EpisodeRunner:
             self._reason = error.message
             await self._fire(Signal.TRACKER_LOST, None)
         finally:
-            if self._driver is not None:
-                await self._driver.close()
+            await self.session.stop()
         return self._outcome()
 
-    async def _create(self) -> StateFrame:
-        spec, scenes = self.spec, self._services.scenes
-        self.scene = scenes.chosen(spec.scene, spec.seed)
-        request = CreateCharacter(
-            character=spec.character,
-            scene=scenes.for_tracker(spec.scene, spec.seed),
-            tracker=spec.tracker or self._services.tracker.plugin,
-            pacing=spec.pacing,
-            seed=spec.seed,
-            heading_rad=spec.heading_rad,
-        )
-        state = await self.loop.ask_tracker(StateFrame, request)
-        self.created = True
-        return state
-
-    async def _turn(self, driver: Driver) -> None:
-        cycle = await driver.cycle(self._goal)
+    async def _turn(self) -> None:
+        cycle = await self.session.cycle(self._goal)
         state = cycle.state
         self.tick, self._missed = state.tick, state.missed_ticks
         if self._running is not None:
             self._running.add(cycle.trace)
-        for plan in cycle.plans:
-            self.events.emit("plan", state.tick, **asdict(plan))
-        if (error := self.loop.take_swap_error()) is not None:
-            self.events.emit("swap_failed", state.tick, reason=error)
         if state.tick - self._last_report >= REPORT_TICKS:
             self._last_report = state.tick
             self._report(state)
@@ -288,9 +259,9 @@ class EpisodeRunner:
             self._judge(signal)
         elif action is Action.RESET_CHARACTER:
             return await self._recover(signal)
-        elif action is Action.REPLAN and self._driver is not None:
+        elif action is Action.REPLAN:
             self.events.emit("planner_back", self.tick)
-            self._driver.replan_now()
+            self.session.replan_now()
         elif action is Action.ABORT and self._running is not None:
             self._judge(signal)
         return None
@@ -299,8 +270,7 @@ class EpisodeRunner:
         index, task = self._agenda.take()
         task.start(view_of(state))
         self._running = _Running(index, task, state.tick, GrowingTrace(state.tick + 1))
-        if self._driver is not None:
-            self._driver.replan_now()
+        self.session.replan_now()
         self.events.emit("task_begin", state.tick, index=index, task=task.kind, label=task.label)
 
     def _judge(self, signal: Signal) -> None:
@@ -345,13 +315,9 @@ class EpisodeRunner:
             return Signal.STOOD_UP
         if self.spec.on_fall == "get_up" and signal is Signal.FELL:
             self.events.emit("getting_up", self.tick)
-            if self._driver is not None:
-                self._driver.replan_now()
+            self.session.replan_now()
             return None
-        await self.loop.reset()
-        if self._driver is not None:
-            await self._driver.drop_plan()
-        self.events.emit("reset", self.tick)
+        await self.session.reset()
         return None
 
     def _goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
@@ -389,6 +355,6 @@ class EpisodeRunner:
             success=status == "finished" and done,
             results=self.results,
             ticks=self.tick,
-            plans=self.loop.plans_made,
+            plans=self.session.loop.plans_made,
             missed_ticks=self._missed,
         )

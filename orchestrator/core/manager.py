@@ -14,7 +14,6 @@ from orchestrator.core.character import CharacterSession, CharacterSpec
 from orchestrator.core.drivers import Cycle
 from orchestrator.core.episode import EpisodeOutcome, EpisodeRunner, EpisodeSpec
 from orchestrator.core.events import EventLog
-from orchestrator.core.fanout import Fanout
 from orchestrator.core.services import Services, Slot
 from orchestrator.core.swap import check_drives, check_spec, swap
 from orchestrator.store.interface import Store, StoreReader
@@ -22,7 +21,7 @@ from orchestrator.store.recordings import Recording, RecordingFiles, write_atomi
 from shared.errors import ConflictError, InvalidInputError, MotionLoopError, NotFoundError, OverloadedError
 from shared.motion.characters import build
 from shared.protocol.control import Ok
-from shared.protocol.messages import CloseCharacter, Render, StateFrame, Video
+from shared.protocol.messages import CloseCharacter, Render, Video
 from shared.protocol.rest import Event
 from shared.protocol.security import CurveKeys
 from shared.protocol.transport import Kind
@@ -40,7 +39,6 @@ class LiveEpisode:
 
     def __init__(self, runner: EpisodeRunner):
         self.runner = runner
-        self.states: Fanout[StateFrame] = Fanout()
         self.outcome: EpisodeOutcome | None = None
         self.task: asyncio.Task[None] | None = None
         self.recorded_to = 0
@@ -189,7 +187,7 @@ class Orchestrator:
                 raise ConflictError("the episode is still running", field="id")
             captions = [(r.start_tick, r.label) for r in live.outcome.results]
             request = Render(start_tick=0, stop_tick=live.runner.tick or None, captions=captions)
-            video = await live.runner.loop.ask_tracker(Video, request, RENDER_TIMEOUT_S)
+            video = await live.runner.session.loop.ask_tracker(Video, request, RENDER_TIMEOUT_S)
             live.runner.events.emit("video", live.runner.tick, renderer=video.renderer, note=video.note)
             data = np.asarray(video.mp4, dtype=np.uint8).tobytes()
             await asyncio.to_thread(write_atomically, path, data)
@@ -198,7 +196,7 @@ class Orchestrator:
     async def episode_scene(self, episode_id: str) -> Scene | None:
         """The scene of an episode as its seed made it; None where only the tracker knows it. Raises NotFoundError."""
         if episode_id in self.episodes:
-            return self.episodes[episode_id].runner.scene
+            return self.episodes[episode_id].runner.session.scene
         row = await self.reader.episode(episode_id)
         spec = EpisodeSpec.model_validate(row["spec"])
         return self.services.scenes.chosen(spec.scene, spec.seed)
@@ -267,7 +265,7 @@ class Orchestrator:
             log.exception("episode %s broke", runner.episode_id)
             outcome = EpisodeOutcome(
                 status="failed", reason=f"internal: {type(error).__name__}: {error}", success=False,
-                results=runner.results, ticks=runner.tick, plans=runner.loop.plans_made, missed_ticks=0,
+                results=runner.results, ticks=runner.tick, plans=runner.session.loop.plans_made, missed_ticks=0,
             )  # fmt: skip
         await self._record(live, runner.tick + 1)
         try:
@@ -278,26 +276,25 @@ class Orchestrator:
         self.store.episode_ended(runner.episode_id, outcome)
         runner.events.emit("end", runner.tick, status=outcome.status, success=outcome.success, reason=outcome.reason)
         runner.events.close()
-        live.states.close()
+        runner.session.states.close()
         over = [key for key, episode in self.episodes.items() if episode.outcome is not None]
         for episode_id in over[:-KEPT_FOR_VIDEO]:
             await self._let_go(episode_id)
 
     async def _after_cycle(self, live: LiveEpisode, cycle: Cycle) -> None:
-        live.states.publish(cycle.state)
         if cycle.state.tick + 1 - live.recorded_to >= PART_TICKS:
             await self._record(live, cycle.state.tick + 1)
 
     async def _record(self, live: LiveEpisode, stop_tick: int) -> None:
         """Fetch and keep the ticks up to `stop_tick`; what cannot be fetched or written now is tried again later."""
         runner = live.runner
-        if not runner.created:
+        if not runner.session.created:
             return
         while live.recorded_to < stop_tick:
             stop = min(live.recorded_to + PART_TICKS, stop_tick)
             try:
-                part = await runner.loop.ticks(live.recorded_to, stop, 30, reference=True)
-                recording = Recording.of(part, runner.spec.character, runner.scene)
+                part = await runner.session.loop.ticks(live.recorded_to, stop, 30, reference=True)
+                recording = Recording.of(part, runner.spec.character, runner.session.scene)
                 await asyncio.to_thread(self.files.add_part, runner.episode_id, recording)
             except (MotionLoopError, OSError) as error:
                 runner.events.emit("recording_failed", runner.tick, reason=str(error))
@@ -306,8 +303,8 @@ class Orchestrator:
 
     async def _let_go(self, episode_id: str) -> None:
         live = self.episodes.pop(episode_id)
-        if live.runner.created:
+        if live.runner.session.created:
             try:
-                await live.runner.loop.ask_tracker(Ok, CloseCharacter())
+                await live.runner.session.loop.ask_tracker(Ok, CloseCharacter())
             except MotionLoopError as error:
                 log.warning("the character of episode %s could not be closed: %s", episode_id, error)

@@ -17,14 +17,15 @@ import numpy as np
 import numpy.typing as npt
 
 from orchestrator.core.agenda import task_seed
+from orchestrator.core.character import CharacterSpec
 from orchestrator.core.command import Command, CommandGoal
-from orchestrator.core.drivers import LockstepDriver
-from orchestrator.core.loop import CharacterLoop, GoalSource
+from orchestrator.core.events import EventLog
+from orchestrator.core.loop import GoalSource
 from orchestrator.core.services import Services
+from orchestrator.core.session import Session
 from orchestrator.core.settings import LOCKSTEP, LoopSettings
 from orchestrator.evaluation.text import COMMANDS
-from shared.protocol.control import Ok
-from shared.protocol.messages import TICK_HZ, CloseCharacter, CreateCharacter, StateFrame
+from shared.protocol.messages import TICK_HZ, StateFrame
 from shared.tasks.builtin import ReachTask
 from shared.tasks.interface import BodyView
 from shared.tasks.specs import ReachSpec
@@ -121,11 +122,10 @@ async def _stream(
     tracker: str | None, keep: Callable[[int, list[Array], bool, int], None],
 ) -> None:  # fmt: skip
     rng = np.random.default_rng(seed)
-    loop = CharacterLoop(str(uuid.uuid4()), services, settings, seed, planner)
     heading = float(rng.uniform(-np.pi, np.pi))
-    create = CreateCharacter(tracker=tracker or services.tracker.plugin, seed=seed, heading_rad=heading)
-    state = await loop.ask_tracker(StateFrame, create)
-    driver = LockstepDriver(loop, state)
+    spec = CharacterSpec(pacing="lockstep", seed=seed, planner=planner, tracker=tracker, loop=settings)
+    session = Session(str(uuid.uuid4()), spec, services, EventLog(), heading)
+    state = await session.start()
     goal: GoalSource = CommandGoal(Command(text="a person is standing still."), state.tick)
     since, until, segments = state.tick, state.tick + TICK_HZ, 0
     while state.tick < ticks:
@@ -133,18 +133,17 @@ async def _stream(
             goal = choose_goal(rng, state)
             until = state.tick + round(rng.uniform(*SEGMENT_S) * TICK_HZ)
             segments += 1
-            driver.replan_now()
-        state = (await driver.cycle(goal)).state
+            session.replan_now()
+        state = (await session.cycle(goal)).state
         if state.fallen or state.tick - since >= 30 * TICK_HZ or state.tick >= ticks:
-            log = await loop.ticks(since, state.tick, TICK_HZ, reference=True)
+            log = await session.loop.ticks(since, state.tick, TICK_HZ, reference=True)
             reference = np.asarray(log.reference_pos_w_m, dtype=np.float32)
             found = pieces(reference, np.asarray(log.tracking_error_m), np.asarray(log.fallen, dtype=bool))
             keep(stream, found, bool(state.fallen), segments)
             segments = 0
             if state.fallen:
-                state = await loop.reset()
+                state = await session.reset()
                 goal = CommandGoal(Command(text="a person is standing still."), state.tick)
                 until = state.tick + round(RESET_S * TICK_HZ)
-                await driver.drop_plan()
             since = state.tick
-    await loop.ask_tracker(Ok, CloseCharacter())
+    await session.close()

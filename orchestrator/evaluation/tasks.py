@@ -19,8 +19,6 @@ from orchestrator.core.services import Services
 from orchestrator.core.settings import VARIANTS
 from orchestrator.evaluation.statistics import wilson
 from shared.errors import InvalidInputError
-from shared.protocol.control import Ok
-from shared.protocol.messages import CloseCharacter
 from shared.tasks.factory import BUILT_IN
 
 Progress = Callable[[int, int, dict[str, Any]], None]
@@ -60,8 +58,8 @@ async def run_one(spec: EpisodeSpec, services: Services) -> EpisodeOutcome:
     """Run an episode and close its character."""
     runner = EpisodeRunner(str(uuid.uuid4()), spec, services, EventLog())
     outcome = await runner.run()
-    if runner.created and outcome.reason is None:
-        await runner.loop.ask_tracker(Ok, CloseCharacter())
+    if runner.session.created:
+        await runner.session.close()
     return outcome
 
 

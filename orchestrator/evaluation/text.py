@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from orchestrator.core.agenda import task_seed
+from orchestrator.core.character import CharacterSpec
 from orchestrator.core.command import Command, CommandGoal
-from orchestrator.core.drivers import LockstepDriver
-from orchestrator.core.loop import CharacterLoop
+from orchestrator.core.events import EventLog
 from orchestrator.core.services import Services
+from orchestrator.core.session import Session
 from orchestrator.core.settings import LOCKSTEP, LoopSettings
 from orchestrator.evaluation.statistics import wilson
-from shared.protocol.control import Ok
-from shared.protocol.messages import TICK_HZ, CloseCharacter, CreateCharacter, StateFrame
+from shared.protocol.messages import TICK_HZ
 from shared.tasks.interface import Trace, joined
 from shared.tasks.obey import kind_of, obeyed
 from shared.tasks.rules import with_falls
@@ -90,19 +90,18 @@ async def _stream(
     services: Services, stream: int, count: int, seed: int, every_s: float, planner: str | None, tracker: str | None,
     settings: LoopSettings, note: Callable[[dict[str, Any]], None],
 ) -> None:  # fmt: skip
-    loop = CharacterLoop(str(uuid.uuid4()), services, settings, seed, planner)
-    create = CreateCharacter(tracker=tracker or services.tracker.plugin, seed=seed)
-    state = await loop.ask_tracker(StateFrame, create)
-    driver = LockstepDriver(loop, state)
+    spec = CharacterSpec(pacing="lockstep", seed=seed, planner=planner, tracker=tracker, loop=settings)
+    session = Session(str(uuid.uuid4()), spec, services, EventLog())
+    state = await session.start()
     for index, text in enumerate(choose_commands(count, seed)):
         begin = state.tick
         end = begin + round(every_s * TICK_HZ)
         goal = CommandGoal(Command(text=text), begin)
-        driver.replan_now()
+        session.replan_now()
         fell = False
         seen: list[Trace] = []
         while state.tick < end and not fell:
-            cycle = await driver.cycle(goal, end - state.tick)
+            cycle = await session.cycle(goal, end - state.tick)
             state = cycle.state
             seen.append(cycle.trace)
             done = with_falls(joined(seen))
@@ -121,11 +120,10 @@ async def _stream(
             }
         )
         if fell:
-            await loop.reset()
-            await driver.drop_plan()
+            await session.reset()
             while state.tick < end + TICK_HZ:
-                state = (await driver.cycle(CommandGoal(Command(text="stand still"), state.tick), 15)).state
-    await loop.ask_tracker(Ok, CloseCharacter())
+                state = (await session.cycle(CommandGoal(Command(text="stand still"), state.tick), 15)).state
+    await session.close()
 
 
 def _report(rows: list[dict[str, Any]], minutes: float) -> dict[str, Any]:
