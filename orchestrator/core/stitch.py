@@ -55,7 +55,7 @@ class PlanBuffer:
 
     def clear(self) -> None:
         """Forget every plan (after a reset, or when the character was moved)."""
-        self._positions = np.zeros((0, 0, 3))
+        self._first, self._positions = 0, np.zeros((0, 0, 3))
 
     def put(self, first_frame: int, positions_w_m: npt.ArrayLike, keep_frames: int = 200) -> None:
         """Enter a plan.

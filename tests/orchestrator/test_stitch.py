@@ -189,3 +189,12 @@ def test_after_a_reset_the_prefix_holds_no_frame_from_before_it() -> None:
         np.testing.assert_array_equal(positions[:, 0, 0], expected)
         still = max(0, min(9 - (20 - first), 9))
         np.testing.assert_array_equal(velocities[:, 0, 0], [0] * still + list(range(still + 1, 11)))
+
+
+def test_a_plan_that_was_forgotten_before_it_began_is_no_part_of_a_prefix() -> None:
+    buffer = PlanBuffer()
+    buffer.put(12, np.ones((40, 22, 3)))
+    buffer.clear()
+    still = np.zeros((21, 22, 3))
+    prefix = build_prefix(still, still, last_simulated_frame=10, end_frame=18, buffer=buffer, prefix_frames=20)
+    np.testing.assert_array_equal(prefix.positions_w_m, 0.0)
