@@ -13,9 +13,12 @@ from torch import Tensor
 from planner_service.dip.conditions import (
     JOINT_SLOTS,
     SLOT_AXES,
+    KeyframeBatch,
     TargetBatch,
+    VelocityBatch,
     heading_at_arrival,
     joints_at_arrival,
+    late_velocity,
     wrapped_difference,
 )
 from planner_service.dip.features_torch import plan_to_positions
@@ -54,6 +57,8 @@ class LossWeights:
     velocity: float = 0.4
     acceleration: float = 0.002
     skating: float = 2.0
+    keyframe: float = 8.0
+    desired_velocity: float = 2.0
 
 
 GESTURE_WEIGHTS = {"left_wrist": 6.0, "right_wrist": 6.0, "left_elbow": 3.0, "right_elbow": 3.0}
@@ -144,6 +149,8 @@ def dip_loss(
     signal: Tensor,
     weights: LossWeights,
     group_weights: Tensor,
+    keyframes: KeyframeBatch | None = None,
+    velocities: VelocityBatch | None = None,
 ) -> tuple[Tensor, dict[str, float]]:
     """Loss of predicted against clean plans.
 
@@ -155,9 +162,11 @@ def dip_loss(
         signal: (B,) share of the signal left at the diffusion step, 0..1: how much a prediction can know. Fine
             physical terms count by it, since a prediction from noise alone is a mean of many motions.
         weights: of the terms; group_weights: from `feature_weights`.
+        keyframes, velocities: what else the plan was asked to meet.
 
     Returns:
-        the loss and its terms as numbers, with errors of targets in metres and radians.
+        the loss and its terms as numbers, with errors of targets in metres and radians, of keyed joints in metres and
+        of velocities in metres a second.
     """
     terms = {"x0": ((predicted - clean).square() * group_weights).mean()}
     positions, heading = plan_to_positions(predicted * std + mean, FPS)
@@ -170,6 +179,16 @@ def dip_loss(
     terms["target"] = (gap * targets.position_valid).sum() / positions.shape[0]
     turn = wrapped_difference(heading_at_arrival(heading, targets.heading_frame), targets.heading_rad)
     terms["heading"] = (turn.square() * targets.heading_valid).sum() / positions.shape[0]
+    errors = {}
+    if keyframes is not None:
+        apart = (positions - keyframes.position_m).square().sum(-1) * keyframes.mask
+        held = keyframes.mask.sum((1, 2))
+        terms["keyframe"] = (apart.sum((1, 2)) / held.clamp_min(1)).mean()
+        errors["keyframe_m"] = _mean_where(apart.detach().sqrt(), keyframes.mask)
+    if velocities is not None:
+        slip = (late_velocity(positions, FPS) - velocities.velocity_mps).square().sum(-1)
+        terms["desired_velocity"] = (slip * velocities.valid).mean()
+        errors["desired_velocity_mps"] = _mean_where(slip.detach().sqrt(), velocities.valid)
     joints = joint_weights()
     terms["position"] = ((positions - true_positions).square().sum(-1) * joints).mean()
 
@@ -183,7 +202,7 @@ def dip_loss(
     terms["skating"] = ((feet[..., :2].square().sum(-1) * stance).mean((1, 2)) * signal).mean()
 
     total = sum((getattr(weights, name, 1.0) * value for name, value in terms.items()), torch.zeros(()))
-    numbers = {name: float(value.detach()) for name, value in terms.items()}
+    numbers = {**{name: float(value.detach()) for name, value in terms.items()}, **errors}
     with torch.no_grad():
         numbers["target_m"] = _mean_where(gap.sqrt().flatten(), targets.position_valid.flatten())
         numbers["heading_rad"] = _mean_where(turn.abs(), targets.heading_valid)

@@ -17,7 +17,7 @@ import typer
 
 from planner_service.dip.config import DipConfig, preset
 from planner_service.dip.features_torch import Normalizer
-from planner_service.dip.network import DipNetwork, parameter_count, whiten_text
+from planner_service.dip.network import DipNetwork, parameter_count, whiten_text, with_conditions
 from planner_service.dip.weights import load_weights
 from planner_service.text.pretrained import minilm
 from planner_service.training.dataset import (
@@ -49,6 +49,9 @@ def train(
     save_every: Annotated[int, typer.Option(help="steps between checkpoints", min=1)] = 250,
     emphasis: Annotated[str, typer.Option(help="draw these more often, e.g. wave=2,action:walk=1.5")] = "",
     init: Annotated[Path | None, typer.Option(help="warm start from these weights (safetensors)")] = None,
+    conditions: Annotated[str, typer.Option(help="also learn keyframes, velocity or both: keyframes,velocity")] = "",
+    keyframe_weight: Annotated[float, typer.Option(help="of keyed joints' squared errors", min=0)] = 8.0,
+    velocity_weight: Annotated[float, typer.Option(help="of the asked velocity's squared error", min=0)] = 2.0,
 ) -> None:
     """Train DiP on a corpus."""
     torch.set_num_threads(threads)
@@ -57,15 +60,22 @@ def train(
     material = load_material(Corpus.load(corpus), "train", _frames(size), cache=out)
     material = emphasized(material, _factors(emphasis))
     texts = TextBank(minilm(), material.sentences)
+    more = [name.strip() for name in conditions.split(",") if name.strip()]
     if content is not None:
         network = DipNetwork(DipConfig.model_validate_json(content["config"]))
+        if with_conditions(network, more).config != network.config:
+            raise InvalidInputError(
+                f"the training in {out} goes on as it began; a new one can start from its weights (--init)",
+                field="conditions",
+                allowed=",".join(network.config.extra_conditions) or "none",
+            )
         normalizer = checkpoint_normalizer(content)
     elif init is not None:
         loaded = load_weights(init)
-        network, normalizer = loaded.network.requires_grad_(True), loaded.normalizer
+        network, normalizer = with_conditions(loaded.network, more).requires_grad_(True), loaded.normalizer
     else:
         torch.manual_seed(seed)
-        network = DipNetwork(preset(size))
+        network = with_conditions(DipNetwork(preset(size)), more)
         if network.config.pooled_text:
             whiten_text(network, texts.pooled())
         normalizer = Normalizer(*feature_statistics(_sampler(material, network.config, 0)))
@@ -76,6 +86,8 @@ def train(
         bf16=bf16_pays() if bf16 is None else bf16,
         seed=seed,
         save_every=save_every,
+        keyframe_weight=keyframe_weight,
+        velocity_weight=velocity_weight,
     )
     sampler = _sampler(material, network.config, seed)
     trainer = Trainer(network, normalizer, sampler, texts, settings, out)

@@ -21,8 +21,9 @@ from planner_service.dip.config import DipConfig
 from planner_service.dip.diffusion import add_noise, cosine_schedule
 from planner_service.dip.features_torch import Normalizer
 from planner_service.dip.network import DipNetwork
+from planner_service.training.asking import sample_asked
 from planner_service.training.dataset import TextBank, WindowSampler
-from planner_service.training.losses import LossWeights, dip_loss, feature_weights, sample_targets
+from planner_service.training.losses import LossWeights, dip_loss, feature_weights
 from shared.processor import bf16_pays
 
 
@@ -33,6 +34,9 @@ class TrainSettings(BaseModel):
         decay_until: step at which the learning rate has fallen, in a straight line, to a twentieth; None: it stays.
         text_dropout: share of windows that lose their text, for guidance.
         bf16: run the network under bfloat16 autocast (by default where the processor has it); losses stay in float32.
+        keyed_share, velocity_share: for networks that take keyframes or a velocity, shares of the windows with a target
+            or a heading that get them.
+        keyframe_weight, velocity_weight: of the squared errors of keyed joints (m2) and of the velocity (m2/s2).
         ema_decay: the average's decay is min(ema_decay, (1 + n) / (10 + n)) at step n.
     """
 
@@ -44,6 +48,10 @@ class TrainSettings(BaseModel):
     weight_decay: float = Field(0.01, ge=0)
     clip_norm: float = Field(1.0, gt=0)
     text_dropout: float = Field(0.1, ge=0, le=1)
+    keyed_share: float = Field(0.4, ge=0, le=1)
+    velocity_share: float = Field(0.35, ge=0, le=1)
+    keyframe_weight: float = Field(LossWeights.keyframe, ge=0)
+    velocity_weight: float = Field(LossWeights.desired_velocity, ge=0)
     ema_decay: float = Field(0.9999, gt=0, lt=1)
     bf16: bool = Field(default_factory=bf16_pays)
     seed: int = 0
@@ -83,7 +91,7 @@ class Trainer:
         self.average = deepcopy(network).eval().requires_grad_(False)
         self._sampler, self._texts = sampler, texts
         self._schedule = cosine_schedule(network.config.steps)
-        self._weights = LossWeights()
+        self._weights = LossWeights(keyframe=settings.keyframe_weight, desired_velocity=settings.velocity_weight)
         self._group_weights = feature_weights(self._weights)
         self._optimizer = torch.optim.AdamW(
             network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay, fused=True
@@ -134,29 +142,34 @@ class Trainer:
         batch = self._sampler.draw(settings.batch)
         keep = self._sampler.rng.random(settings.batch) >= settings.text_dropout
         prefix, plan = batch.features[:, : config.prefix_frames], batch.features[:, config.prefix_frames :]
-        targets = sample_targets(plan, config.first_arrival_frame, self._generator)
-        asked = (targets.position_valid.any(-1) | targets.heading_valid).numpy()
-        # A bent path is explained by a target or a heading, never by the sentence alone.
-        keep &= batch.shown & (asked | ~batch.bent)
+        asked = sample_asked(plan, config, settings.keyed_share, settings.velocity_share, self._generator)
+        # A bent path is explained by what is asked for, never by the sentence alone.
+        keep &= batch.shown & (asked.any().numpy() | ~batch.bent)
         text, text_mask = self._texts.rows(batch.sentence, np.asarray(keep))
         clean = self.normalizer.normalize(plan)
         step = torch.randint(0, config.steps, (settings.batch,), generator=self._generator)
         noise = torch.randn(clean.shape, generator=self._generator)
         noisy = add_noise(self._schedule, clean, step, noise)
-        vector = targets.vector(config.plan_frames)
+        vector = asked.targets.vector(config.plan_frames)
+        keyframes = None if asked.keyframes is None else asked.keyframes.vector()
+        velocity = None if asked.velocity is None else asked.velocity.vector()
         self.network.train()
         with torch.autocast("cpu", torch.bfloat16, enabled=settings.bf16):
-            predicted = self.network(noisy, step, self.normalizer.normalize(prefix), vector, text, text_mask)
+            predicted = self.network(
+                noisy, step, self.normalizer.normalize(prefix), vector, text, text_mask, keyframes, velocity
+            )
         loss, terms = dip_loss(
             predicted.float(),
             clean,
             prefix[:, -1],
             self.normalizer.mean,
             self.normalizer.std,
-            targets,
+            asked.targets,
             self._schedule.alpha_bar[step],
             self._weights,
             self._group_weights,
+            asked.keyframes,
+            asked.velocity,
         )
         for group in self._optimizer.param_groups:
             group["lr"] = learning_rate(settings, self.state.step)
