@@ -197,9 +197,9 @@ def build_prefix(
     parts, speeds = [simulated], [np.asarray(velocities_w_mps, dtype=np.float64)]
     if gap:
         now = simulated[-1]
-        if buffer.first_frame <= end_frame and last_simulated_frame < buffer.end_frame:
+        first = max(last_simulated_frame, buffer.first_frame)
+        if first <= end_frame and buffer.has(first):
             # A plan that has still to begin counts too: until then its first frame is where the body is going.
-            first = max(last_simulated_frame, buffer.first_frame)
             planned = buffer.get(first, end_frame + 1)
             planned = np.concatenate([np.repeat(planned[:1], first - last_simulated_frame, axis=0), planned])
             weight = error_decay(np.arange(1, gap + 1) / buffer.fps, decay_s)

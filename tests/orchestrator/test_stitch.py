@@ -151,6 +151,11 @@ def test_without_a_plan_the_last_pose_is_held() -> None:
     prefix = joined(walk(79, 101), 100, 104, PlanBuffer())
     np.testing.assert_allclose(prefix.positions_w_m[-4:], np.repeat(walk(100, 101), 4, axis=0))
     assert prefix.context_frames == 4
+    forgotten = PlanBuffer()
+    forgotten.put(102, walk(102, 140))
+    forgotten.clear()
+    after_reset = joined(walk(79, 101), 100, 104, forgotten)
+    np.testing.assert_array_equal(after_reset.positions_w_m, prefix.positions_w_m)
 
 
 def test_with_no_lead_the_prefix_is_the_simulation_alone() -> None:
