@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any, get_args
+from typing import Any
 
 from fastapi import APIRouter
 from pydantic import BaseModel
@@ -14,7 +14,7 @@ from orchestrator.core.command import JOINTS
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import TICK_HZ
 from shared.scenes.schema import Scene
-from shared.tasks.specs import TaskSpec
+from shared.tasks.factory import KINDS
 
 router = APIRouter(prefix="/v1", tags=["catalogue"], responses=RESPONSES)
 
@@ -54,8 +54,8 @@ class SkeletonBody(BaseModel):
 
 
 def task_models() -> tuple[type[BaseModel], ...]:
-    """The spec classes that `TaskSpec` tells apart."""
-    return tuple(get_args(get_args(TaskSpec)[0]))
+    """The spec classes of all kinds."""
+    return tuple(kind.spec for kind in KINDS.values())
 
 
 @router.get("/tasks")

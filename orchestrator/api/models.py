@@ -15,8 +15,8 @@ from shared.motion.skeleton import CANONICAL
 from shared.protocol.base import Name
 from shared.protocol.messages import StateFrame
 from shared.protocol.rest import CharacterFields, CommandReading, EpisodeFields, StateFields
+from shared.tasks.factory import TaskSpec
 from shared.tasks.interface import heading_from_positions
-from shared.tasks.specs import TaskSpec
 
 MAX_IMPULSE_NS = 500.0
 Newtonseconds = Annotated[FiniteFloat, Field(ge=-MAX_IMPULSE_NS, le=MAX_IMPULSE_NS)]

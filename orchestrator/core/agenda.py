@@ -10,9 +10,8 @@ import numpy as np
 
 from orchestrator.core.loop import plan_seed
 from shared.errors import ConflictError
-from shared.tasks.factory import make_task
+from shared.tasks.factory import TaskSpec, make_task
 from shared.tasks.interface import Task
-from shared.tasks.specs import TaskSpec
 
 MAX_TASKS = 500
 
@@ -35,6 +34,7 @@ class Agenda:
         self.tasks: list[TaskSpec] = list(tasks)
         self._seed = seed
         self._to_come = list(range(len(self.tasks)))
+        self._attempts: dict[int, int] = {}
         if order == "random":
             np.random.default_rng(plan_seed(seed, -1)).shuffle(self._to_come)
 
@@ -46,6 +46,14 @@ class Agenda:
         """The next one: its index and the task, ready to be started."""
         index = self._to_come.pop(0)
         return index, make_task(self.tasks[index], task_seed(self._seed, index))
+
+    def again(self, index: int) -> bool:
+        """Whether a task that has failed is tried once more: it is the next one then."""
+        self._attempts[index] = self._attempts.get(index, 1) + 1
+        if self._attempts[index] > 1 + self.tasks[index].retries:
+            return False
+        self._to_come.insert(0, index)
+        return True
 
     def insert(self, task: TaskSpec, place: int) -> int:
         """Add one before what is `place`-th to come (0: next, beyond the end: last); returns its index.
@@ -61,4 +69,4 @@ class Agenda:
     @property
     def longest_s(self) -> float:
         """Simulated time for all: theirs, and room for settling, a reset and an outage of the planner after each."""
-        return sum(make_task(task, 0).time_limit_s + 10.0 for task in self.tasks) + 120.0
+        return sum((make_task(task, 0).time_limit_s + 10.0) * (1 + task.retries) for task in self.tasks) + 120.0

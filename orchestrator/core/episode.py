@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
@@ -28,12 +28,13 @@ from orchestrator.core.session import Session
 from orchestrator.core.settings import LoopSettings
 from shared.errors import ConflictError, MotionLoopError, NotFoundError, TransportError
 from shared.protocol.base import Name
-from shared.protocol.messages import TICK_HZ, Pacing, Seed, StateFrame
+from shared.protocol.messages import TICK_HZ, Pacing, Seed, SetObject, StateFrame
 from shared.protocol.rest import TaskResult
+from shared.tasks.factory import TaskSpec
 from shared.tasks.growing import GrowingTrace
 from shared.tasks.interface import BodyView, PlanGoal, Task, Trace, Verdict
 from shared.tasks.rules import SAFE_TICKS, leaning, with_falls
-from shared.tasks.specs import TaskSpec, TimeLimit
+from shared.tasks.specs import TimeLimit
 from shared.text.wording import STAND_TEXT
 
 STOOD_UP_TICKS = 15
@@ -101,7 +102,12 @@ class _Running:
     @property
     def leaning(self) -> bool:
         """Whether it cannot be said yet that the body stayed up."""
-        return self.task.upright and len(self.seen) > 0 and leaning(self.seen.trace().pos_w_m[-1])
+        return (
+            self.task.posture == "upright"
+            and self.task.upright
+            and len(self.seen) > 0
+            and leaning(self.seen.trace().pos_w_m[-1])
+        )
 
 
 class EpisodeRunner:
@@ -163,6 +169,7 @@ class EpisodeRunner:
         """Add a task before what is `place`-th to come; returns its index. Raises ConflictError when it is over."""
         if self._machine.over:
             raise ConflictError(f"the episode is {self.phase}", field="id")
+        task.check(self.session.scene)
         index = self._agenda.insert(task, place)
         self.events.emit("task_inserted", self.tick, index=index, place=place, task=task.model_dump(mode="json"))
         return index
@@ -216,7 +223,8 @@ class EpisodeRunner:
             self._reason = "skipped"
             return Signal.TASK_FAILED if phase is Phase.ACTING else Signal.SETTLED
         trace = running.trace() if performing and running is not None else None
-        if performing and (state.fallen or (trace is not None and bool(trace.fallen.any()))):
+        watched = running is None or running.task.posture != "from_floor"
+        if performing and watched and (state.fallen or (trace is not None and bool(trace.fallen.any()))):
             return Signal.FELL
         if phase is Phase.DEGRADED:
             back = cycle.planner_error is None and bool(cycle.plans)
@@ -254,7 +262,7 @@ class EpisodeRunner:
         if action is Action.CHOOSE_TASK:
             return Signal.TASK_CHOSEN if len(self._agenda) else Signal.TASKS_EXHAUSTED
         if action is Action.BEGIN_TASK and state is not None:
-            self._begin(state)
+            await self._begin(state)
         elif action is Action.JUDGE_TASK:
             self._judge(signal)
         elif action is Action.RESET_CHARACTER:
@@ -266,9 +274,20 @@ class EpisodeRunner:
             self._judge(signal)
         return None
 
-    def _begin(self, state: StateFrame) -> None:
+    async def _begin(self, state: StateFrame) -> None:
         index, task = self._agenda.take()
-        task.start(view_of(state))
+        view = replace(view_of(state), scene=self.session.scene)
+        for name, pose in task.props(view).items():
+            x, y, z, *quat = (float(v) for v in pose)
+            still = (0.0, 0.0, 0.0)
+            move = SetObject(
+                name=name, position_w_m=(x, y, z), quat_w=(quat[0], quat[1], quat[2], quat[3]),
+                linvel_w_mps=still, angvel_w_radps=still,
+            )  # fmt: skip
+            state = await self.session.loop.ask_tracker(StateFrame, move)
+            view = replace(view_of(state), scene=self.session.scene)
+            self.events.emit("object_set", state.tick, name=name)
+        task.start(view)
         self._running = _Running(index, task, state.tick, GrowingTrace(state.tick + 1))
         self.session.replan_now()
         self.events.emit("task_begin", state.tick, index=index, task=task.kind, label=task.label)
@@ -281,6 +300,9 @@ class EpisodeRunner:
         trace = running.trace()
         verdict = running.task.judge(trace) if len(trace) else Verdict(False, False, False, False, 0.0, {})
         reason = "skipped" if skipped else None if verdict.strict else self._why_not(signal, verdict)
+        if reason is not None and not skipped and not self._machine.over and self._agenda.again(running.index):
+            self.events.emit("task_missed", self.tick, index=running.index, task=running.task.kind, reason=reason)
+            return
         spec = self._agenda.tasks[running.index]
         result = TaskResult(
             index=running.index,

@@ -105,10 +105,11 @@ def timing_of(plan: Plan, index: int, reply: TrackReply, total_ms: float, text: 
 
 def view_of(state: StateFrame) -> BodyView:
     """The body in a state frame."""
-    scale = build(state.character).world_scale
+    character = build(state.character)
     poses = np.concatenate([state.object_pos_w_m, state.object_quat_w], axis=-1).astype(np.float64)
     objects = dict(zip(state.objects, poses, strict=True))
-    return BodyView(state.tick, np.asarray(state.body_pos_w_m, dtype=np.float64), state.fallen, scale, objects)
+    positions = np.asarray(state.body_pos_w_m, dtype=np.float64)
+    return BodyView(state.tick, positions, state.fallen, character.world_scale, objects, character.mass_kg)
 
 
 def trace_of(ticks: TickRange) -> Trace:

@@ -131,6 +131,9 @@ class Orchestrator:
         self._check_room()
         self._check_plugins(spec.character, spec.planner, spec.tracker)
         self.services.scenes.for_tracker(spec.scene, spec.seed)  # a wrong scene is refused now, not in the background
+        scene = self.services.scenes.chosen(spec.scene, spec.seed)
+        for task in spec.tasks:
+            task.check(scene)
         episode_id = str(uuid.uuid4())
         events = EventLog(self._sink(episode_id))
         live: LiveEpisode

@@ -19,6 +19,7 @@ from shared.errors import InvalidInputError, UnavailableError
 P = TypeVar("P")
 PLANNERS = "motionloop.planners"
 TRACKERS = "motionloop.trackers"
+TASKS = "motionloop.tasks"
 log = logging.getLogger(__name__)
 
 FORMER_NAMES = {"ppo": "learned"}

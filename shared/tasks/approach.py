@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from shared.protocol.messages import TICK_HZ, JointTarget
+from shared.protocol.messages import TICK_HZ, HeadingTarget, JointTarget
+from shared.tasks.interface import BodyView, PlanGoal
 from shared.tasks.specs import ReachTuning
 
 Array = npt.NDArray[np.float64]
@@ -13,6 +14,22 @@ Array = npt.NDArray[np.float64]
 TRAJ = "traj"
 MOST_S = 2.0
 """No step takes longer: it is about what a plan covers."""
+
+TURN_RADPS = 1.6
+"""Natural speed of turning on the spot."""
+
+
+def turn_on_the_spot(view: BodyView, plan_tick: int, bearing_rad: float, guidance: float | None) -> PlanGoal:
+    """Turn by `bearing_rad` (left positive) where it stands."""
+    x, y = (float(v) for v in view.pelvis_xy_m)
+    arrival = plan_tick + round(max(abs(bearing_rad) / TURN_RADPS, 0.5) * TICK_HZ)
+    side = "left" if bearing_rad > 0 else "right"
+    return PlanGoal(
+        text=f"a person turns to the {side}.",
+        targets=(JointTarget(joint=TRAJ, position_w_m=(x, y, 0.0), arrival_tick=arrival),),
+        heading=HeadingTarget(heading_rad=view.heading_rad + bearing_rad, arrival_tick=arrival),
+        guidance=guidance,
+    )
 
 
 def stepped_target(from_m: Array, goal_m: Array, most_m: float) -> Array:

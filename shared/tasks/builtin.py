@@ -11,33 +11,31 @@ from shared.errors import ConflictError
 from shared.motion.rotations import wrap_angle
 from shared.protocol.messages import TICK_HZ, HeadingTarget, JointTarget
 from shared.tasks import rules
-from shared.tasks.approach import TRAJ, Approach
-from shared.tasks.interface import BodyView, PlanGoal, Status, Trace, Verdict
+from shared.tasks.approach import TRAJ, Approach, turn_on_the_spot
+from shared.tasks.interface import BodyView, PlanGoal, Status, Task, Trace, Verdict
 from shared.tasks.obey import kind_of, obeyed
 from shared.tasks.specs import HaltSpec, ReachSpec, ReachTuning, TextSpec
 from shared.text.wording import STAND_TEXT, understand
 
 Array = npt.NDArray[np.float64]
 
-TURN_RADPS = 1.6
-"""Natural speed of turning on the spot."""
 SLOW_MPS = 0.25
 """Slower than this, a body that was told to halt has come to rest."""
 HOLD_TICKS = 30
 """How far ahead a standing body's spot is set as target."""
 
 
-class ReachTask:
+class ReachTask(Task):
     """Walk (run, sneak, ...) until the pelvis is over a point on the floor, and stop there."""
 
     kind = "reach"
 
     def __init__(self, spec: ReachSpec, seed: int):
         self._spec = spec
-        self._tuning: ReachTuning = spec.tuning
+        self._tuning: ReachTuning = spec.paced
         self._rng = np.random.default_rng(seed)
         self._goal: Array | None = None
-        self._approach = Approach(TRAJ, spec.tuning)
+        self._approach = Approach(TRAJ, spec.paced)
         self._near_since: int | None = None
         self._corrections = 0
         self._turning = False
@@ -92,7 +90,7 @@ class ReachTask:
         self._turning = abs(bearing) > (tuning.turn_to_rad if self._turning else tuning.turn_from_rad)
         if self._turning and not near:
             self._approach.forget()
-            return self._turn(view, plan_tick, bearing)
+            return turn_on_the_spot(view, plan_tick, bearing, self._spec.guidance)
         target = self._approach.target(view.pelvis_xy_m, goal, plan_tick, view.scale)
         arrival = target.arrival_tick
         if near:
@@ -104,7 +102,7 @@ class ReachTask:
         heading = None
         if distance > tuning.heading_from_m:
             heading = HeadingTarget(heading_rad=atan2(away[1], away[0]), arrival_tick=arrival)
-        return PlanGoal(text=self._spec.text, targets=(target,), heading=heading, guidance=self._spec.guidance)
+        return PlanGoal(text=self._spec.prompt, targets=(target,), heading=heading, guidance=self._spec.guidance)
 
     def _is_near(self, distance_m: float, tick: int) -> bool:
         """Whether to stand now: from a little before the goal on, and not where the stop has missed it."""
@@ -116,18 +114,6 @@ class ReachTask:
             self._near_since = None
             self._corrections += 1
         return self._near_since is not None
-
-    def _turn(self, view: BodyView, plan_tick: int, bearing_rad: float) -> PlanGoal:
-        """Turn to the goal where it stands."""
-        x, y = (float(v) for v in view.pelvis_xy_m)
-        arrival = plan_tick + round(max(abs(bearing_rad) / TURN_RADPS, 0.5) * TICK_HZ)
-        side = "left" if bearing_rad > 0 else "right"
-        return PlanGoal(
-            text=f"a person turns to the {side}.",
-            targets=(JointTarget(joint=TRAJ, position_w_m=(x, y, 0.0), arrival_tick=arrival),),
-            heading=HeadingTarget(heading_rad=view.heading_rad + bearing_rad, arrival_tick=arrival),
-            guidance=self._spec.guidance,
-        )
 
     def status(self, trace: Trace) -> Status:
         """Done when the goal was held for half a second."""
@@ -146,7 +132,7 @@ class ReachTask:
         return rules.reach(trace.pos_w_m[:, 0, :2], trace.fallen, self.goal_xy_m)
 
 
-class HaltTask:
+class HaltTask(Task):
     """Come to a stand and stay there. Strict: at most 0.2 m of drift for the last `duration_s`, and no fall."""
 
     kind = "halt"
@@ -209,7 +195,7 @@ class HaltTask:
         return Verdict(still and not fell, not fell, True, fell, trace.duration_s, measures)
 
 
-class TextTask:
+class TextTask(Task):
     """Do what a sentence says for a while. Strict: the motion shows it (DESIGN 7), and no fall until 1 s after.
 
     What it says not to do is left out, and where it says one thing after the other ("walk, then wave") each has an

@@ -15,10 +15,12 @@ import numpy.typing as npt
 
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import TICK_HZ, HeadingTarget, JointTarget
+from shared.scenes.schema import Scene
 from shared.tasks.world import World, worlds_joined
 
 Array = npt.NDArray[np.float64]
 Status = Literal["running", "done", "failed"]
+Posture = Literal["upright", "seated", "from_floor"]
 
 _LEFT_HIP, _RIGHT_HIP, _PELVIS = (CANONICAL.index(name) for name in ("left_hip", "right_hip", "pelvis"))
 
@@ -39,6 +41,8 @@ class BodyView:
         fallen: whether it has.
         scale: its size against the canonical body's.
         objects: (7,) position and quaternion of every object of the scene, by name.
+        mass_kg: of the body.
+        scene: the scene with its marks; None where nobody knows it, and after the start of a task.
     """
 
     tick: int
@@ -46,6 +50,8 @@ class BodyView:
     fallen: bool = False
     scale: float = 1.0
     objects: Mapping[str, Array] = field(default_factory=dict)
+    mass_kg: float = 72.0
+    scene: Scene | None = None
 
     @property
     def pelvis_xy_m(self) -> Array:
@@ -181,7 +187,10 @@ class Verdict:
 
 
 class Task(Protocol):
-    """One thing to do. `start` is called once, then `goal` at every plan and `status` with every new stretch."""
+    """One thing to do. `start` is called once, then `goal` at every plan and `status` with every new stretch.
+
+    A class that names this one as its base has `posture` and `props` as most tasks need them.
+    """
 
     @property
     def kind(self) -> str:
@@ -203,8 +212,17 @@ class Task(Protocol):
         """Whether lying on the floor means that it went wrong, whatever the plan says."""
         ...
 
+    @property
+    def posture(self) -> Posture:
+        """How it ends: on its feet, or seated. `from_floor`: it begins lying, and tells falls from that itself."""
+        return "upright"
+
+    def props(self, view: BodyView) -> Mapping[str, Array]:
+        """Objects that have to be put somewhere before it starts, as (7,) poses: a bag that lies is set up again."""
+        return {}
+
     def start(self, view: BodyView) -> None:
-        """Fix whatever depends on where the character is."""
+        """Fix whatever depends on where the character is, and on the scene."""
         ...
 
     def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:

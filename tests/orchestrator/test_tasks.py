@@ -13,9 +13,9 @@ from shared.errors import InvalidInputError
 from shared.motion.ik import standing_clip
 from shared.motion.rotations import matrix_about_z
 from shared.tasks.builtin import ReachTask
-from shared.tasks.factory import make_task
+from shared.tasks.factory import TaskSpec, make_task
 from shared.tasks.interface import BodyView, Trace
-from shared.tasks.specs import HaltSpec, ReachSpec, TaskSpec, TextSpec
+from shared.tasks.specs import HaltSpec, ReachSpec, TextSpec
 from shared.text.wording import STAND_TEXT
 
 STAND = standing_clip(1, 30).positions_w_m[0]

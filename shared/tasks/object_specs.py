@@ -1,0 +1,107 @@
+"""Tasks with objects as data: `strike`, `sit`, `get_up`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import ConfigDict, Field, FiniteFloat
+
+from shared.scenes.schema import Name, Scene
+from shared.tasks.places import check_mark
+from shared.tasks.specs import BaseTaskSpec, Guidance, Text, TimeLimit
+
+Limb = Literal["left_hand", "right_hand", "left_foot", "right_foot"]
+Metres = Annotated[FiniteFloat, Field(gt=0, le=5)]
+
+
+class StrikeSpec(BaseTaskSpec):
+    """Hit an object, such as the bag, with a hand or a foot so that it topples. A miss steps back and hits again.
+
+    Attributes:
+        mark: what to hit; it is on an object.
+        height_m: hit at this height; None: at the mark's own.
+        from_m, to_m, stand_m: a blow starts between these distances of pelvis and object over the floor (REFERENCE 3:
+            1 to 1.5 m); a body elsewhere goes to `stand_m` first.
+        blow_s: least time from the start of a blow to its landing.
+    """
+
+    type: Literal["strike"] = "strike"
+    limb: Limb = "right_hand"
+    mark: Name = "bag_centre"
+    height_m: Annotated[FiniteFloat, Field(ge=0, le=3)] | None = None
+    text: Text | None = None
+    from_m: Metres = 0.8
+    to_m: Metres = 1.55
+    stand_m: Metres = 1.1
+    blow_s: Annotated[FiniteFloat, Field(ge=0.4, le=2)] = 0.8
+    time_limit_s: TimeLimit = 15.0
+    guidance: Guidance | None = None
+
+    @property
+    def prompt(self) -> str:
+        """What the planner is told."""
+        if self.text is not None:
+            return self.text
+        side, end = self.limb.split("_")
+        if end == "hand":
+            return f"a person is punching with the {side} hand."
+        return f"a person is performing a high kick with the {side}."
+
+    def check(self, scene: Scene | None) -> None:
+        """The mark is there, on an object."""
+        check_mark(scene, self.mark, on_object=True)
+
+
+class SitSpec(BaseTaskSpec):
+    """Walk to a seat, turn round, sit down on it and stay.
+
+    Attributes:
+        mark: middle of the seat's top; where `X_centre` has an `X_front` beside it one sits down from there.
+        above_m: the pelvis is aimed so far above the seat's top, as much as there is of the body below it.
+    """
+
+    type: Literal["sit"] = "sit"
+    mark: Name = "seat_centre"
+    text: Text = "a person is sitting down on a bench."
+    above_m: Annotated[FiniteFloat, Field(ge=0, le=0.5)] = 0.12
+    time_limit_s: TimeLimit = 17.0
+    guidance: Guidance | None = None
+
+    def check(self, scene: Scene | None) -> None:
+        """The mark is there."""
+        check_mark(scene, self.mark, on_object=True)
+
+
+class GetUpSpec(BaseTaskSpec):
+    """Get up, from a seat or from the floor, and stand.
+
+    Attributes:
+        from_: `from` in files.
+        mark: the seat; not used on the floor.
+        ahead_m: where to stand, in front of the seat's edge (REFERENCE 3).
+        height_m: of the pelvis of someone who stands, for a body of canonical size.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True, serialize_by_alias=True)
+    type: Literal["get_up"] = "get_up"
+    from_: Annotated[Literal["seat", "floor"], Field(alias="from")] = "seat"
+    mark: Name = "seat_centre"
+    text: Text | None = None
+    ahead_m: Metres = 0.3
+    height_m: Metres = 0.9
+    time_limit_s: TimeLimit = 13.0
+    guidance: Guidance | None = None
+
+    @property
+    def prompt(self) -> str:
+        """What the planner is told."""
+        if self.text is not None:
+            return self.text
+        if self.from_ == "floor":
+            return "a person gets up from the floor."
+        return "a person is getting up from a bench and standing."
+
+    def check(self, scene: Scene | None) -> None:
+        """The seat is there, where one is needed."""
+        if self.from_ == "seat":
+            check_mark(scene, self.mark, on_object=True)

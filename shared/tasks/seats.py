@@ -1,0 +1,243 @@
+"""The tasks `sit` and `get_up`."""
+
+from __future__ import annotations
+
+from math import atan2, cos, pi, sin
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.errors import ConflictError
+from shared.motion.rotations import wrap_angle
+from shared.motion.skeleton import CANONICAL
+from shared.protocol.messages import TICK_HZ, HeadingTarget, JointTarget
+from shared.scenes.placing import Place
+from shared.tasks import object_rules
+from shared.tasks.approach import Approach, turn_on_the_spot
+from shared.tasks.builtin import HaltTask
+from shared.tasks.interface import BodyView, PlanGoal, Posture, Status, Task, Trace, Verdict
+from shared.tasks.object_specs import GetUpSpec, SitSpec
+from shared.tasks.places import MarkedObject, marked_object
+from shared.tasks.specs import HaltSpec, ReachTuning
+from shared.tasks.walking import Walk
+
+Array = npt.NDArray[np.float64]
+PELVIS = CANONICAL.index("pelvis")
+FRONT_M = 0.35
+"""Nearer than this to the place before the seat it turns round."""
+FACING_RAD = 0.6
+SIT_S, TRY_S = 1.6, 6.0
+"""How long sitting down takes; after so long without a seat under it, it begins anew."""
+LOW_SHARE = 0.75
+"""A pelvis below this share of its standing height sits or lies."""
+RISE = ReachTuning(speed_mps=0.5, least_arrival_s=0.8)
+SIDE_M = 0.45
+AHEAD_M = 0.3
+
+
+def front_of(seat: MarkedObject, view: BodyView) -> Array:
+    """(2,) where one stands before the seat: its mark `X_front`, else 0.3 m before its edge."""
+    name = seat.name.removesuffix("_centre") + "_front"
+    if name in seat.scene.marks:
+        return np.asarray(seat.place(view, name).position_w_m[:2], dtype=np.float64)
+    return before_edge(seat, view, AHEAD_M)
+
+
+def before_edge(seat: MarkedObject, view: BodyView, ahead_m: float) -> Array:
+    """(2,) a place so far before the seat's front edge."""
+    place = seat.place(view)
+    out = np.array([cos(place.heading_rad), sin(place.heading_rad)])
+    return np.asarray(place.position_w_m[:2] + out * (seat.half_size_m[0] + ahead_m))
+
+
+def way_round(place: Place, half_size_m: tuple[float, float], here_xy_m: Array, front_xy_m: Array) -> Array:
+    """(2,) the next place on the way to the front of a seat from any side: past its corner where it is between."""
+    out = np.array([cos(place.heading_rad), sin(place.heading_rad)])
+    left = np.array([-out[1], out[0]])
+    centre = np.asarray(place.position_w_m[:2], dtype=np.float64)
+    away = here_xy_m - centre
+    ahead, aside = float(away @ out), float(away @ left)
+    clear = half_size_m[1] + SIDE_M
+    if ahead >= half_size_m[0]:
+        return front_xy_m
+    side = clear if aside >= 0 else -clear
+    if abs(aside) < clear - 0.15:
+        return np.asarray(centre + left * side * 1.1 + out * ahead)
+    return np.asarray(centre + left * side * 1.1 + out * float((front_xy_m - centre) @ out))
+
+
+class SitTask(Task):
+    """To the front of a seat, turn round, sit down, stay seated."""
+
+    kind = "sit"
+
+    def __init__(self, spec: SitSpec):
+        self._spec = spec
+        self._seat: MarkedObject | None = None
+        self._mass_kg = 0.0
+        self._walk = Walk(spec.guidance)
+        self._begun_tick: int | None = None
+
+    @property
+    def label(self) -> str:
+        """E.g. `sit on seat_centre`."""
+        return f"sit on {self._spec.mark}"
+
+    @property
+    def time_limit_s(self) -> float:
+        """From the spec."""
+        return self._spec.time_limit_s
+
+    @property
+    def upright(self) -> bool:
+        """Sitting is not lying."""
+        return True
+
+    @property
+    def posture(self) -> Posture:
+        """It ends seated."""
+        return "seated"
+
+    def start(self, view: BodyView) -> None:
+        """Find the seat; raises InvalidInputError where the scene has no such mark."""
+        self._seat, self._mass_kg, self._begun_tick = marked_object(view, self._spec.mark), view.mass_kg, None
+
+    def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
+        """To the front, round, and down: the pelvis aimed above the seat's top, facing away from the seat."""
+        spec, seat = self._spec, _known(self._seat)
+        place = seat.place(view)
+        pelvis = view.pos_w_m[PELVIS]
+        aim = place.position_w_m + [0.0, 0.0, spec.above_m * view.scale]
+        on_it = pelvis[2] < aim[2] + 0.15 and float(np.linalg.norm((pelvis - aim)[:2])) < max(seat.half_size_m)
+        if self._begun_tick is not None and plan_tick - self._begun_tick > TRY_S * TICK_HZ and not on_it:
+            self._begun_tick = None
+        if self._begun_tick is None and not on_it:
+            front = front_of(seat, view)
+            through = way_round(place, seat.half_size_m, view.pelvis_xy_m, front)
+            if float(np.linalg.norm(front - view.pelvis_xy_m)) > FRONT_M * view.scale:
+                return self._walk.goal(view, through, plan_tick)
+            turn = float(wrap_angle(place.heading_rad - view.heading_rad))
+            if abs(turn) > FACING_RAD:
+                return turn_on_the_spot(view, plan_tick, turn, spec.guidance)
+        if self._begun_tick is None:
+            self._begun_tick = plan_tick
+        arrival = max(self._begun_tick + round(SIT_S * TICK_HZ), plan_tick + TICK_HZ // 2)
+        away = aim[:2] - pelvis[:2]
+        far = float(np.linalg.norm(away)) > 0.3
+        heading = float(wrap_angle(atan2(away[1], away[0]) + pi)) if far else place.heading_rad
+        x, y, z = (float(v) for v in aim)
+        return PlanGoal(
+            text=spec.text,
+            targets=(JointTarget(joint="pelvis", position_w_m=(x, y, z), arrival_tick=arrival),),
+            heading=HeadingTarget(heading_rad=heading, arrival_tick=arrival),
+            guidance=spec.guidance,
+        )
+
+    def status(self, trace: Trace) -> Status:
+        """Done when the seat has carried it for half a second."""
+        return "done" if self._outcome(trace).met_tick is not None else "running"
+
+    def judge(self, trace: Trace) -> Verdict:
+        """Rules of `shared.tasks.object_rules.sit`."""
+        out, seat, fell = self._outcome(trace), _known(self._seat), bool(trace.fallen.any())
+        measures: dict[str, float] = {}
+        if trace.world is not None and len(trace):
+            x, y, z = (float(v) for v in seat.local_m(trace.world, trace.pos_w_m[:, PELVIS])[-1])
+            share = object_rules.seat_share(trace.world, seat.object, self._mass_kg)
+            measures = {"ahead_m": x, "left_m": y, "above_m": z, "most_share": float(share.max())}
+        seconds = trace.duration_s if out.met_tick is None else out.met_tick / TICK_HZ
+        return Verdict(out.strict and not fell, out.paper, out.code, fell, seconds, measures)
+
+    def _outcome(self, trace: Trace) -> object_rules.Outcome:
+        return object_rules.sit(trace, _known(self._seat), self._mass_kg)
+
+
+class GetUpTask(Task):
+    """Up from a seat, to a place before it, or from the floor, where it lies; then stand."""
+
+    kind = "get_up"
+
+    def __init__(self, spec: GetUpSpec):
+        self._spec = spec
+        self._target: Array | None = None
+        self._facing_rad: float | None = None
+        self._was_low = False
+        self._approach = Approach("pelvis", RISE)
+        self._stand = HaltTask(HaltSpec(guidance=spec.guidance))
+
+    @property
+    def label(self) -> str:
+        """E.g. `get up from the seat`."""
+        return f"get up from the {self._spec.from_}"
+
+    @property
+    def time_limit_s(self) -> float:
+        """From the spec."""
+        return self._spec.time_limit_s
+
+    @property
+    def upright(self) -> bool:
+        """Not where it begins on the floor."""
+        return self._spec.from_ == "seat"
+
+    @property
+    def posture(self) -> Posture:
+        """On the floor a fall is told by the task itself."""
+        return "upright" if self._spec.from_ == "seat" else "from_floor"
+
+    @property
+    def target_w_m(self) -> Array:
+        """(3,) where the pelvis should be; raises ConflictError before `start` has fixed it."""
+        if self._target is None:
+            raise ConflictError("the task was not started, its target is not known yet")
+        return self._target
+
+    def start(self, view: BodyView) -> None:
+        """Fix the place; raises InvalidInputError where the scene has no such seat."""
+        spec, height = self._spec, self._spec.height_m * view.scale
+        self._was_low = bool(view.pos_w_m[PELVIS, 2] < LOW_SHARE * height)
+        xy, self._facing_rad = view.pelvis_xy_m, None
+        if spec.from_ == "seat":
+            seat = marked_object(view, spec.mark)
+            xy, self._facing_rad = before_edge(seat, view, spec.ahead_m), seat.place(view).heading_rad
+        self._target = np.array([xy[0], xy[1], height])
+        self._approach.forget()
+        self._stand.start(view)
+
+    def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
+        """The pelvis up and to the place; standing once it is there."""
+        pelvis, target = view.pos_w_m[PELVIS], self.target_w_m
+        if float(np.linalg.norm(pelvis - target)) < 0.2 * view.scale:
+            return self._stand.goal(view, plan_tick)
+        aim = self._approach.target(pelvis, target, plan_tick, view.scale)
+        heading = None
+        if self._facing_rad is not None:
+            heading = HeadingTarget(heading_rad=self._facing_rad, arrival_tick=aim.arrival_tick)
+        low = True if self._spec.from_ == "floor" else None
+        return PlanGoal(
+            text=self._spec.prompt, targets=(aim,), heading=heading, guidance=self._spec.guidance, may_be_low=low
+        )
+
+    def status(self, trace: Trace) -> Status:
+        """Done when it has stood on both feet for half a second."""
+        return "done" if self._outcome(trace).met_tick is not None else "running"
+
+    def judge(self, trace: Trace) -> Verdict:
+        """Rules of `shared.tasks.object_rules.get_up`; `was_low`: the release counts only those that sat before."""
+        out, floor = self._outcome(trace), self._spec.from_ == "floor"
+        fell = bool(trace.fallen.any()) if not floor else out.met_tick is not None and not out.strict
+        measures = {"was_low": float(self._was_low)}
+        if len(trace):
+            measures["end_distance_m"] = float(np.linalg.norm(trace.pos_w_m[-1, PELVIS] - self.target_w_m))
+        seconds = trace.duration_s if out.met_tick is None else out.met_tick / TICK_HZ
+        strict = out.strict and self._was_low and (floor or not fell)
+        return Verdict(strict, out.paper, out.code, fell, seconds, measures)
+
+    def _outcome(self, trace: Trace) -> object_rules.Outcome:
+        return object_rules.get_up(trace, self.target_w_m, self._spec.from_ == "floor")
+
+
+def _known(seat: MarkedObject | None) -> MarkedObject:
+    if seat is None:
+        raise ConflictError("the task was not started, the seat is not known yet")
+    return seat

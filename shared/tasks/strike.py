@@ -1,0 +1,172 @@
+"""The task `strike`: a blow with a hand or a foot that topples the bag."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import atan2, cos, pi, sin
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.errors import ConflictError
+from shared.motion.rotations import wrap_angle
+from shared.motion.skeleton import CANONICAL
+from shared.protocol.messages import TICK_HZ, HeadingTarget, JointTarget
+from shared.scenes.placing import pose_of
+from shared.tasks import object_rules
+from shared.tasks.approach import stepped_target, turn_on_the_spot
+from shared.tasks.builtin import HaltTask
+from shared.tasks.interface import BodyView, PlanGoal, Status, Task, Trace, Verdict
+from shared.tasks.object_specs import Limb, StrikeSpec
+from shared.tasks.places import MarkedObject, marked_object
+from shared.tasks.specs import HaltSpec
+from shared.tasks.walking import Walk, step_back
+
+Array = npt.NDArray[np.float64]
+
+JOINTS: dict[Limb, str] = {
+    "left_hand": "left_wrist", "right_hand": "right_wrist", "left_foot": "left_foot", "right_foot": "right_foot",
+}  # fmt: skip
+"""What is sent to the target."""
+STEP_M = 1.2
+STEP_MPS = 1.0
+REACH_M = 0.9
+"""From the pelvis a hand or foot comes so far without a step."""
+LANDED_S = 0.8
+"""So long after a blow should have landed the next one is thought of."""
+TURN_FROM_RAD = 0.9
+ROOM_M = 0.75
+"""An object that is set up again stands at least so far from the body."""
+
+
+class StrikeTask(Task):
+    """Go to a distance from which the limb reaches, strike, and after a miss step back and strike again."""
+
+    kind = "strike"
+
+    def __init__(self, spec: StrikeSpec):
+        self._spec = spec
+        self._bag: MarkedObject | None = None
+        self._walk = Walk(spec.guidance)
+        self._stand = HaltTask(HaltSpec(guidance=spec.guidance))
+        self._lands_tick: int | None = None
+        self._blows = 0
+        self._back = False
+
+    @property
+    def label(self) -> str:
+        """E.g. `strike with the left foot`."""
+        return f"strike with the {self._spec.limb.replace('_', ' ')}"
+
+    @property
+    def time_limit_s(self) -> float:
+        """From the spec."""
+        return self._spec.time_limit_s
+
+    @property
+    def upright(self) -> bool:
+        """Always."""
+        return True
+
+    def props(self, view: BodyView) -> Mapping[str, Array]:
+        """A bag that does not stand is set up where the scene has it, or ahead where the body is in the way."""
+        bag = marked_object(view, self._spec.mark)
+        pose = view.objects.get(bag.object)
+        body = bag.scene.body(bag.object)
+        if pose is None or body is None or object_rules.tilt_rad(pose) < object_rules.PAPER_TILT_RAD:
+            return {}
+        place = pose_of(body).astype(np.float64)
+        if float(np.linalg.norm(place[:2] - view.pelvis_xy_m)) < ROOM_M * view.scale:
+            ahead = np.array([cos(view.heading_rad), sin(view.heading_rad)])
+            place[:2] = view.pelvis_xy_m + self._spec.stand_m * view.scale * ahead
+        return {bag.object: place}
+
+    def start(self, view: BodyView) -> None:
+        """Find what to hit; raises InvalidInputError where the scene has no such mark."""
+        self._bag = marked_object(view, self._spec.mark)
+        self._stand.start(view)
+        self._lands_tick, self._blows, self._back = None, 0, False
+
+    def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
+        """To the bag, back from it, or the blow whose arrival tick counts down; standing once the bag is down."""
+        spec, bag = self._spec, self._known()
+        pose = view.objects.get(bag.object)
+        if pose is not None and float(object_rules.tilt_rad(pose)) >= object_rules.TOPPLED_RAD:
+            return self._stand.goal(view, plan_tick)
+        place = bag.place(view).position_w_m.astype(np.float64)
+        away = place[:2] - view.pelvis_xy_m
+        distance = float(np.linalg.norm(away)) / view.scale
+        bearing = float(wrap_angle(atan2(away[1], away[0]) - view.heading_rad))
+        if self._lands_tick is not None:
+            if plan_tick < self._lands_tick + LANDED_S * TICK_HZ:
+                return self._blow(view, place, plan_tick)
+            self._lands_tick = None
+        self._back = distance < (0.9 * spec.stand_m if self._back else spec.from_m)
+        if self._back:
+            return step_back(view, place[:2], spec.stand_m * view.scale, plan_tick, spec.guidance)
+        if distance > spec.to_m:
+            before = place[:2] - away / np.linalg.norm(away) * spec.stand_m * view.scale
+            return self._walk.goal(view, before, plan_tick)
+        if abs(bearing) > TURN_FROM_RAD:
+            return turn_on_the_spot(view, plan_tick, bearing, spec.guidance)
+        seconds = min(spec.blow_s + max(0.0, distance - REACH_M) / STEP_MPS, 2.0)
+        self._lands_tick = plan_tick + round(seconds * TICK_HZ)
+        self._blows += 1
+        return self._blow(view, place, plan_tick)
+
+    def _blow(self, view: BodyView, place: Array, plan_tick: int) -> PlanGoal:
+        """The limb to the bag at the tick that was set when the blow began, by way of a nearer point if it is far."""
+        assert self._lands_tick is not None
+        spec = self._spec
+        joint = JOINTS[spec.limb]
+        goal = place.copy()
+        if spec.height_m is not None:
+            goal[2] = spec.height_m
+        here = view.pos_w_m[CANONICAL.index(joint)]
+        point = stepped_target(here, goal, STEP_M * view.scale)
+        whole = float(np.linalg.norm(goal - here))
+        share = float(np.linalg.norm(point - here)) / whole if whole > 1e-6 else 1.0
+        lands = max(self._lands_tick, plan_tick + 1)
+        arrival = plan_tick + max(1, round((lands - plan_tick) * share))
+        away = goal[:2] - view.pelvis_xy_m
+        x, y, z = (float(v) for v in point)
+        return PlanGoal(
+            text=spec.prompt,
+            targets=(JointTarget(joint=joint, position_w_m=(x, y, z), arrival_tick=arrival),),
+            heading=HeadingTarget(heading_rad=atan2(away[1], away[0]), arrival_tick=arrival),
+            guidance=spec.guidance,
+        )
+
+    def status(self, trace: Trace) -> Status:
+        """Done when the bag is down and the limb was first; failed when it is down by anything else."""
+        blow = self._judged(trace)
+        if blow is None or not blow.outcome.code:
+            return "running"
+        return "done" if blow.outcome.met_tick is not None else "failed"
+
+    def judge(self, trace: Trace) -> Verdict:
+        """Rules of `shared.tasks.object_rules.strike`."""
+        fell, blow = bool(trace.fallen.any()), self._judged(trace)
+        if blow is None:
+            return Verdict(False, False, False, fell, trace.duration_s, {})
+        out = blow.outcome
+        measures = {
+            "tilt_deg": blow.most_tilt_rad * 180 / pi,
+            "limb_first": float(blow.limb_first),
+            "blows": float(self._blows),
+        }
+        if blow.first_tick is not None:
+            measures["first_touch_s"] = blow.first_tick / TICK_HZ
+        seconds = trace.duration_s if out.met_tick is None else out.met_tick / TICK_HZ
+        return Verdict(out.strict and not fell, out.paper, out.code, fell, seconds, measures)
+
+    def _judged(self, trace: Trace) -> object_rules.Blow | None:
+        bag = self._known().object
+        if trace.world is None or not len(trace) or bag not in trace.world.objects:
+            return None
+        return object_rules.strike(trace.world, trace.fallen, bag, self._spec.limb)
+
+    def _known(self) -> MarkedObject:
+        if self._bag is None:
+            raise ConflictError("the task was not started, what to hit is not known yet")
+        return self._bag

@@ -1,0 +1,197 @@
+"""What the tasks with objects ask of the planner, and when they are over."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import pi
+
+import numpy as np
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from shared.errors import InvalidInputError
+from shared.motion.ik import standing_clip
+from shared.motion.rotations import matrix_about_z
+from shared.motion.skeleton import CANONICAL
+from shared.scenes.files import load_scene
+from shared.scenes.placing import pose_of
+from shared.tasks.factory import BUILT_IN, KINDS, TaskSpec, make_task
+from shared.tasks.interface import BodyView, Trace
+from shared.tasks.object_specs import GetUpSpec, SitSpec, StrikeSpec
+from shared.tasks.specs import ReachSpec, VelocitySpec
+from shared.text.wording import STAND_TEXT
+
+STAND = standing_clip(1, 30).positions_w_m[0]
+
+
+def view(scene: str, x: float = 0.0, y: float = 0.0, facing: float = 0.0, tick: int = 0, lift: float = 0.0) -> BodyView:
+    made = load_scene(scene)
+    positions = STAND @ matrix_about_z(facing).T + [x, y, lift]
+    objects = {body.name: np.asarray(pose_of(body), dtype=np.float64) for body in made.bodies}
+    return BodyView(tick, positions, objects=objects, scene=made)
+
+
+@pytest.mark.parametrize("limb", ["left_hand", "right_hand", "left_foot", "right_foot"])
+def test_a_blow_counts_down_to_one_tick_and_then_waits_before_the_next(limb: str) -> None:
+    task = make_task(StrikeSpec.model_validate({"limb": limb}), 0)
+    task.start(view("bag", 1.1))
+    arrivals, texts = [], []
+    for plan_tick in (0, 6, 12, 18):
+        goal = task.goal(view("bag", 1.1, tick=plan_tick), plan_tick)
+        (target,) = goal.targets
+        side, end = limb.split("_")
+        assert target.joint == f"{side}_{'wrist' if end == 'hand' else 'foot'}"
+        assert target.position_w_m == pytest.approx((2.0, 0.0, 0.9))
+        assert goal.heading is not None
+        assert goal.heading.heading_rad == pytest.approx(0.0)
+        assert side in str(goal.text)
+        assert ("punching" in str(goal.text)) is (end == "hand")
+        arrivals.append(target.arrival_tick)
+        texts.append(goal.text)
+    assert len(set(arrivals)) == 1
+    assert arrivals[0] == 24  # 0.8 s, and no step to make at 0.9 m
+    follow = task.goal(view("bag", 1.1, tick=arrivals[0] + 10), arrivals[0] + 10)
+    assert follow.text == texts[0]
+    again = task.goal(view("bag", 1.1, tick=arrivals[0] + 24), arrivals[0] + 24)
+    assert again.targets[0].arrival_tick > arrivals[0] + 24
+
+
+def test_far_from_the_bag_it_walks_too_near_it_steps_back_beside_it_turns() -> None:
+    task = make_task(StrikeSpec(), 0)
+    task.start(view("bag", -1.0))
+    walk = task.goal(view("bag", -1.0), 0)
+    assert walk.text == "a person is walking."
+    assert walk.targets[0].position_w_m == pytest.approx((0.2, 0.0, 0.0))
+    task = make_task(StrikeSpec(), 0)
+    task.start(view("bag", 1.4))
+    for x, back in ((1.4, True), (1.1, True), (0.98, False)):
+        goal = task.goal(view("bag", x), 0)
+        assert ("backward" in str(goal.text)) is back, x
+        if back:
+            assert goal.targets[0].position_w_m == pytest.approx((0.9, 0.0, 0.0))
+    task = make_task(StrikeSpec(), 0)
+    task.start(view("bag", 0.9, facing=pi / 2))
+    assert task.goal(view("bag", 0.9, facing=pi / 2), 0).text == "a person turns to the right."
+
+
+def test_a_limb_that_is_far_goes_by_way_of_a_nearer_point() -> None:
+    task = make_task(StrikeSpec(limb="right_foot", to_m=2.5), 0)
+    task.start(view("bag", 0.0))
+    goal = task.goal(view("bag", 0.0), 0)
+    foot = STAND[CANONICAL.index("right_foot")]
+    assert np.linalg.norm(np.array(goal.targets[0].position_w_m) - foot) == pytest.approx(1.2)
+    last = task.goal(view("bag", 1.2), 15).targets[0]
+    assert last.position_w_m == pytest.approx((2.0, 0.0, 0.9))
+    assert goal.targets[0].arrival_tick < last.arrival_tick
+
+
+def test_a_bag_that_lies_is_set_up_and_one_that_stands_is_left() -> None:
+    task = make_task(StrikeSpec(), 0)
+    stands = view("bag", 0.9)
+    assert task.props(stands) == {}
+    lies = replace(stands, objects={"bag": np.array([3.0, 0, 0.2, np.sqrt(0.5), 0, np.sqrt(0.5), 0])})
+    np.testing.assert_allclose(task.props(lies)["bag"], [2.0, 0, 0, 1, 0, 0, 0], atol=1e-12)
+    near = replace(lies, pos_w_m=lies.pos_w_m + [1.0, 0, 0])  # stands where the bag would
+    np.testing.assert_allclose(task.props(near)["bag"][:2], [3.0, 0.0], atol=0.05)
+    task.start(lies)
+    assert task.goal(lies, 0).text == STAND_TEXT
+
+
+def test_a_sitter_walks_round_the_sofa_turns_and_goes_down() -> None:
+    task = make_task(SitSpec(), 0)
+    task.start(view("sofa", 1.5))
+    assert task.goal(view("sofa", 1.5, facing=pi), 0).text == "a person is walking."
+    # Behind the sofa it first goes beside it, then past its corner to the front.
+    for x, y, wanted in ((-2.3, 0.3, "aside"), (-2.0, 1.8, "ahead")):
+        place = make_task(SitSpec(), 0)
+        place.start(view("sofa", x, y))
+        aim = np.array(
+            place.goal(view("sofa", x, y, facing=pi / 2 if wanted == "aside" else 0.0), 0).targets[0].position_w_m
+        )
+        away = aim[:2] - [x, y]
+        assert bool(abs(away[1]) > abs(away[0])) is (wanted == "aside"), (x, y)
+    assert task.goal(view("sofa", -0.6, facing=pi / 2), 30).text == "a person turns to the right."
+    down = task.goal(view("sofa", -0.6, facing=0.2), 60)
+    assert "sitting down" in str(down.text)
+    (target,) = down.targets
+    assert target.joint == "pelvis"
+    assert target.position_w_m == pytest.approx((-1.3, 0.0, 0.344 + 0.12))
+    assert down.heading is not None
+    assert np.cos(down.heading.heading_rad) == pytest.approx(1.0, abs=0.01)  # away from the seat
+    assert task.goal(view("sofa", -0.6, tick=75), 75).targets[0].arrival_tick == target.arrival_tick
+    # Where no seat was met it begins anew, with the walk to the front.
+    late = task.goal(view("sofa", 1.5, facing=pi, tick=60 + 200), 60 + 200)
+    assert late.text == "a person is walking."
+
+
+def test_getting_up_ends_before_the_seat_or_where_it_lay() -> None:
+    task = make_task(GetUpSpec(), 0)
+    seat = view("sofa", -1.3, lift=-0.45)
+    task.start(seat)
+    goal = task.goal(seat, 0)
+    assert goal.targets[0].joint == "pelvis"
+    aim = np.array([-1.3 + 0.33 + 0.3, 0.0, 0.9])
+    assert goal.targets[0].position_w_m == pytest.approx(tuple(aim), abs=1e-6)
+    assert goal.heading is not None
+    assert task.goal(view("sofa", aim[0]), 30).text == STAND_TEXT
+    floor = make_task(GetUpSpec.model_validate({"from": "floor"}), 0)
+    floor.start(view("flat", 2.0, 1.0, lift=-0.8))
+    goal = floor.goal(view("flat", 2.0, 1.0, lift=-0.8), 0)
+    assert goal.may_be_low
+    assert goal.targets[0].position_w_m == pytest.approx((2.0, 1.0, 0.9), abs=0.02)
+    assert (task.posture, floor.posture, make_task(SitSpec(), 0).posture) == ("upright", "from_floor", "seated")
+
+
+def test_who_never_sat_has_not_got_up() -> None:
+    """Standing where one should end is no getting up: `was_low` is 0 and strict fails."""
+    task = make_task(GetUpSpec(height_m=float(STAND[0, 2])), 0)
+    standing = view("sofa", -1.4 + 0.10 + 0.63)
+    task.start(standing)
+    trace = Trace(1, np.repeat(standing.pos_w_m[None], 60, axis=0), np.zeros(60, dtype=bool))
+    verdict = task.judge(trace)
+    assert (verdict.strict, verdict.code, verdict.measures["was_low"]) == (False, True, 0.0)
+
+
+def test_a_velocity_is_judged_after_the_settling_time() -> None:
+    task = make_task(VelocitySpec(relative_mps=(1.0, 0.0), duration_s=3.0, settle_s=1.0), 0)
+    task.start(view("flat", facing=pi / 2))
+    goal = task.goal(view("flat", facing=pi / 2), 0)
+    assert goal.desired_velocity_w_mps == pytest.approx((0.0, 1.0))
+    for speed, strict in ((1.0, True), (0.75, True), (0.65, False), (1.35, False)):
+        positions = np.repeat(STAND[None], 100, axis=0)
+        positions[30:, :, 1] += (np.arange(70) * speed / 30)[:, None]
+        trace = Trace(1, positions, np.zeros(100, dtype=bool))
+        assert task.judge(trace).strict is strict, speed
+    trace.fallen[95] = True
+    assert task.judge(trace).fell
+
+
+def test_gait_and_style_make_the_sentence_and_the_speed() -> None:
+    plain, run = ReachSpec(), ReachSpec(gait="run", style="happily")
+    assert (plain.prompt, run.prompt) == ("a person is walking.", "a person is running happily.")
+    assert run.paced.speed_mps > 2 * plain.paced.speed_mps
+    with pytest.raises(ValidationError, match="not both"):
+        ReachSpec(gait="run", text="a person crawls.")
+    assert ReachSpec.model_validate_json(run.model_dump_json()) == run
+
+
+def test_every_kind_round_trips_as_json_and_is_made() -> None:
+    adapter: TypeAdapter[TaskSpec] = TypeAdapter(TaskSpec)
+    assert set(BUILT_IN) <= set(KINDS)
+    for spec in (StrikeSpec(limb="left_foot"), SitSpec(), GetUpSpec.model_validate({"from": "floor"})):
+        read = adapter.validate_json(spec.model_dump_json())
+        assert read == spec
+        assert make_task(read, 3).kind == spec.type
+    with pytest.raises(ValidationError, match="limb"):
+        adapter.validate_python({"type": "strike", "limb": "head"})
+
+
+def test_a_scene_without_the_mark_is_refused_with_those_it_has() -> None:
+    for spec, scene in ((StrikeSpec(), "sofa"), (SitSpec(), "bag"), (GetUpSpec(), "flat")):
+        with pytest.raises(InvalidInputError, match="has no mark") as caught:
+            spec.check(load_scene(scene))
+        assert caught.value.field == "mark"
+        with pytest.raises(InvalidInputError):
+            make_task(spec, 0).start(view(scene))
+    StrikeSpec().check(load_scene("room"))
+    GetUpSpec.model_validate({"from": "floor"}).check(load_scene("flat"))
