@@ -1,7 +1,8 @@
 """Measure DiP without physics: `python -m planner_service.training.evaluate --corpus DIR [--weights FILE]`.
 
-Reaching and text commands run in the closed loop of `rollout`, judged by the rules of `shared.tasks`; target errors,
-skating and jerk are those of single plans on held-out windows.
+Reaching and text commands run in the closed loop of `rollout`, judged by the rules of `shared.tasks`; errors of
+targets, keyframes and velocities (as far as the weights take them), skating and jerk are those of single plans on
+held-out windows.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from planner_service.dip.conditions import JOINT_SLOTS
 from planner_service.dip.planner import DipPlanner
 from planner_service.dip.weights import SHIPPED
 from planner_service.training.dataset import Material, WindowSampler, load_material
+from planner_service.training.evaluate_conditions import conditions
 from planner_service.training.rollout import Rollout
 from planner_service.training.windows import FPS, window_positions
 from shared.console import errors_for_people
@@ -212,7 +214,7 @@ def evaluate(
     print(json.dumps(obeyed_result, indent=1), flush=True)
     result["reach"] = reach(planner, episodes, seed)
     print(json.dumps(result["reach"], indent=1), flush=True)
-    plans = heldout(planner, material, windows, seed)
+    plans = {**heldout(planner, material, windows, seed), **conditions(planner, material, windows, seed)}
     result.update(plans)
     print(json.dumps(plans, indent=1), flush=True)
     result["seconds"] = round(time.monotonic() - began, 1)

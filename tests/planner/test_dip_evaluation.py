@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from planner_service.builtin.stand import StandPlanner
+from planner_service.training.dataset import WindowSampler, load_material
 from planner_service.training.evaluate import contact_slide_mm, reach
+from planner_service.training.evaluate_conditions import KEYED, conditions
 from planner_service.training.evidence import deed_ahead, frames_showing, plans_showing
 from planner_service.training.rollout import Rollout
+from planner_service.training.windows import window_positions
+from shared.data.corpus import Corpus
 from shared.errors import InvalidInputError
 from shared.motion.features import global_to_features
 from shared.motion.ik import standing_clip
 from shared.motion.skeleton import CANONICAL
+from shared.plugins.interfaces import PlannerSpec
+from shared.protocol.messages import Plan, PlanRequest
 from shared.tasks.interface import BodyView, PlanGoal
-from tests.planner.dip_helpers import moving_body
+from tests.planner.dip_helpers import moving_body, write_small_corpus
 
 STANDING = standing_clip(20, 20).positions_w_m
 
@@ -87,3 +95,42 @@ def test_standing_is_not_walking_and_walking_is_not_running() -> None:
         [global_to_features(m, 20).astype(np.float32) for m in (walking, STANDING.repeat(2, 0), late, walking)]
     )
     assert plans_showing(plans, ["walk", "walk", "walk", "run"]).tolist() == [True, False, False, False]
+
+
+class Recalling(StandPlanner):
+    """Gives back what held-out windows went on to do, moved by `slip`, if asked for something of the kind."""
+
+    def __init__(self, windows: np.ndarray, takes: tuple[str, ...], slip: np.ndarray) -> None:
+        self._windows, self._takes, self._slip = windows, takes, slip
+
+    @property
+    def spec(self) -> PlannerSpec:
+        return StandPlanner().spec.model_copy(
+            update={"prefix_frames": 20, "plan_frames": 40, "conditions": ("text", *self._takes)}
+        )
+
+    def plan(self, requests: list[PlanRequest]) -> list[Plan]:
+        stood = StandPlanner().plan(requests)
+        out = []
+        for request, plan in zip(requests, stood, strict=True):
+            asked = request.keyframe_mask.any() or request.desired_velocity_w_mps is not None
+            going = self._windows[request.seed - 1, 20:] + self._slip
+            out.append(plan.model_copy(update={"positions_w_m": going}) if asked else plan)
+        return out
+
+
+def test_errors_of_keyframes_and_velocities_are_those_of_the_plans(tmp_path: Path) -> None:
+    """Plans 3 cm off everywhere keep the velocity; plans that drift by 1 cm a frame are 0.2 m/s off."""
+    material = load_material(Corpus.load(write_small_corpus(tmp_path / "v")), "heldout", 60)
+    windows = window_positions(WindowSampler(material, 20, 40, 1, augment=False).draw(14).features.numpy())
+    both = ("velocity", "keyframes")
+    beside = conditions(Recalling(windows, both, np.array([0.0, 0.0, 0.03])), material, 14, 1)
+    assert abs(beside["keyframe_error_m"] - 0.03) < 1e-5
+    assert set(beside["keyframe_error_by_joint_m"]) == set(KEYED)
+    assert beside["velocity_error_mps"] < 1e-4
+    drift = np.arange(1, 41)[:, None, None] * [0.0, 0.01, 0.0]
+    drifting = conditions(Recalling(windows, both, drift), material, 14, 1)
+    assert abs(drifting["velocity_error_mps"] - 0.2) < 1e-4
+    assert 0.1 <= drifting["keyframe_error_m"] <= 0.4 + 1e-6, "keys are due at frames 10 to 40"
+    assert set(conditions(Recalling(windows, ("velocity",), drift), material, 14, 1)) == {"velocity_error_mps"}
+    assert conditions(Recalling(windows, (), drift), material, 14, 1) == {}
