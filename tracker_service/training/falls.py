@@ -6,6 +6,8 @@ standing, so that a tracker learns to get up by following it.
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -95,6 +97,7 @@ def low_enough(motion: Floats) -> bool:
     return bool(motion[:, 0, 2].min() < LOW_PELVIS_M and motion[-1, 0, 2] > 0.8)
 
 
+FOOT_DOWN_M = 0.12
 UP_M, UP_TICKS, UP_WITHIN_S, STILL_UP_S = 0.8, 15, 6.0, 1.0
 
 
@@ -115,35 +118,43 @@ def got_up(pelvis_m: Floats, feet_down: npt.NDArray[np.bool_]) -> npt.NDArray[np
     return out
 
 
+def follow(
+    human: Humanoid, settings: EnvSettings, policy: Policy, qpos: Floats, ways: Sequence[MotionInput], seed: int
+) -> Floats:
+    """What bodies do that start at rest in qpos (N, 7+H) and follow their ways up, while it counts: (T, N, J, 3)."""
+    ticks = round((UP_WITHIN_S + STILL_UP_S) * TICK_HZ)
+    references = prepare(human, [_held(way, ticks + 10) for way in ways])
+    env = TrackingEnv(human, references, settings.model_copy(update={"envs": len(ways)}), seed=seed)
+    env.start_at(np.arange(len(ways)))
+    env.state[:, 1 : 1 + qpos.shape[1]] = qpos
+    env.state[:, 1 + qpos.shape[1] :] = 0.0
+    env.moved()
+    observation = env.observe()
+    did = []
+    for _ in range(ticks):
+        env.advance(policy(observation))
+        did.append(env.bodies().pos_w_m.astype(np.float64))
+        observation = env.observe()
+    env.close()
+    return np.stack(did)
+
+
+def stands(human: Humanoid, did_w_m: Floats) -> npt.NDArray[np.bool_]:
+    """(N,) who got up, of bodies that moved like this (T, N, J, 3); see `got_up`."""
+    feet = [human.skeleton.index(n) for n in ("left_foot", "right_foot")]
+    return got_up(did_w_m[:, :, 0, 2], np.asarray((did_w_m[:, :, feet, 2] < FOOT_DOWN_M).all(axis=-1)))
+
+
 def falls(
     human: Humanoid, settings: EnvSettings, policy: Policy, standing: ReferenceSet, library: Sequence[Floats],
     count: int, seed: int,
 ) -> dict[str, Any]:  # fmt: skip
     """The suite `falls`: bodies that lie follow their way up; share of those that stand by `got_up`."""
     qpos, lying = fall(human, standing, settings, policy, count, seed)
-    ways = ways_up(human, lying, library, 1.0)
-    ticks = round((UP_WITHIN_S + STILL_UP_S) * TICK_HZ)
-    padded = [_held(way, ticks + 10) for way in ways]
-    references = prepare(human, padded)
-    env = TrackingEnv(human, references, settings.model_copy(update={"envs": len(padded)}), seed=seed)
-    env.start_at(np.arange(len(padded)))
-    env.state[:, 1 : 1 + qpos.shape[1]] = qpos
-    env.state[:, 1 + qpos.shape[1] :] = 0.0
-    env.moved()
-    observation = env.observe()
-    feet = [human.skeleton.index(n) for n in ("left_foot", "right_foot")]
-    height, down = [], []
-    for _ in range(ticks):
-        env.advance(policy(observation))
-        pos = env.bodies().pos_w_m
-        height.append(pos[:, 0, 2].copy())
-        down.append((pos[:, feet, 2] < 0.12).all(axis=-1))
-        observation = env.observe()
-    env.close()
-    ok = got_up(np.stack(height), np.stack(down))
+    ok = stands(human, follow(human, settings, policy, qpos, ways_up(human, lying, library, 1.0), seed))
     facing = _facing(human, lying)
     return {
-        "falls": len(padded),
+        "falls": len(ok),
         "got_up": float(ok.mean()),
         "by_facing": {
             side: {"n": int((facing == side).sum()), "got_up": float(ok[facing == side].mean())}
@@ -188,7 +199,39 @@ app = typer.Typer(add_completion=False)
 
 
 @app.command()
-def main(
+def record(
+    corpus: Annotated[Path, typer.Option(help="has get-ups and lying down")],
+    out: Annotated[Path, typer.Option(help="folder for what was performed")],
+    count: Annotated[int, typer.Option(help="falls")] = 512,
+    keep: Annotated[int, typer.Option(help="get-ups of bodies that lie on their backs, faces and sides")] = 8,
+    seed: int = 0,
+    weights: Annotated[Path, typer.Option(help="policy that falls and gets up")] = WEIGHTS,
+) -> None:
+    """Record get-ups that the policy performs, the library of the planner `rise`: at most `keep` of a facing."""
+    human = humanoid(HUMAN)
+    loaded = Corpus.load(corpus)
+    settings, policy = policy_of(human, weights)
+    out.mkdir(parents=True, exist_ok=True)
+    library, upright = library_of(loaded, "train"), upright_references(human, loaded)
+    kept: dict[str, int] = {}
+    for first in range(0, count, BATCH):
+        qpos, lying = fall(human, upright, settings, policy, min(BATCH, count - first), seed + first)
+        did = follow(human, settings, policy, qpos, ways_up(human, lying, library, 1.0), seed)
+        for body in np.flatnonzero(stands(human, did)).tolist():
+            facing = str(_facing(human, lying[body : body + 1])[0])
+            if kept.get(facing, 0) < keep:
+                kept[facing] = kept.get(facing, 0) + 1
+                name = f"{facing}_{kept[facing] - 1}"
+                motion = did[:, body].astype(np.float32)
+                np.savez_compressed(out / f"{name}.npz", positions_w_m=motion, fps=np.float64(TICK_HZ))
+    policy_hash = hashlib.sha256(weights.read_bytes()).hexdigest()[:12]
+    card = {"weights": policy_hash, "falls": count, "seed": seed, "kept": kept}
+    (out / "card.json").write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
+    typer.echo(json.dumps(card))
+
+
+@app.command()
+def ways(
     corpus: Annotated[Path, typer.Option(help="has get-ups and lying down")],
     out: Annotated[Path, typer.Option(help="folder for the ways up")],
     count: Annotated[int, typer.Option(help="falls")] = 512,
