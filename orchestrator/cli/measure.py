@@ -15,6 +15,7 @@ from orchestrator.cli.delegate import PASS_THROUGH, module_json, run_module
 from orchestrator.core.services import Services, connect
 from orchestrator.core.supervise import Stack, StackOptions
 from orchestrator.evaluation import bench as benches
+from orchestrator.evaluation.report import report as as_markdown
 from orchestrator.evaluation.tasks import evaluate_tasks
 from orchestrator.evaluation.text import evaluate_text
 
@@ -102,6 +103,7 @@ def eval_tasks(
     planner: Planner = None,
     tracker: Tracker = None,
     resume: Annotated[Path | None, typer.Option(help="JSON lines of finished episodes, to go on from")] = None,
+    report: Annotated[Path | None, typer.Option(help="write the table as Markdown")] = None,
     json: JsonFile = None,
 ) -> None:
     """Success rates of tasks (strict, paper, code) with a Wilson interval."""
@@ -113,7 +115,10 @@ def eval_tasks(
             ),
             planner, tracker, threads, repeatable=True,
         )  # fmt: skip
-    write_json(json, {**result, **provenance(seed)})
+    whole = {**result, **provenance(seed)}
+    if report is not None:
+        report.write_text(as_markdown(whole))
+    write_json(json, whole)
 
 
 @evaluate.command("text")

@@ -6,7 +6,7 @@ import asyncio
 import json
 import uuid
 from collections.abc import Callable, Sequence
-from math import pi
+from math import atan2
 from pathlib import Path
 from typing import Any
 
@@ -17,36 +17,29 @@ from orchestrator.core.episode import EpisodeOutcome, EpisodeRunner, EpisodeSpec
 from orchestrator.core.events import EventLog
 from orchestrator.core.services import Services
 from orchestrator.core.settings import VARIANTS
+from orchestrator.evaluation.starts import octant, start_of
 from orchestrator.evaluation.statistics import wilson
 from shared.errors import InvalidInputError
-from shared.tasks.factory import BUILT_IN
 
 Progress = Callable[[int, int, dict[str, Any]], None]
 """Called with episodes done, episodes in all, and the newest row."""
-
-TASKS: dict[str, dict[str, Any]] = {
-    "reach": {"type": "reach"},
-    "halt": {"type": "halt"},
-    "text": {"type": "text", "text": "a person is walking forward."},
-}
 
 
 def episode_spec(
     task: str, index: int, seed: int, variant: str, planner: str | None, tracker: str | None
 ) -> EpisodeSpec:
     """Episode `index` of a task: its own seed and start heading, the same for every variant."""
-    if task not in TASKS:
-        raise InvalidInputError(f"unknown task {task!r}", field="tasks", allowed=", ".join(BUILT_IN))
     if variant not in VARIANTS:
         raise InvalidInputError(f"unknown variant {variant!r}", field="variant", allowed=", ".join(VARIANTS))
     own = task_seed(seed, index)
-    heading = float(np.random.default_rng(own).uniform(-pi, pi))
+    start = start_of(task, own)
     return EpisodeSpec.model_validate(
         {
-            "tasks": [TASKS[task]],
+            "tasks": start.tasks,
+            "scene": start.scene,
             "seed": own,
             "pacing": "lockstep",
-            "heading_rad": heading,
+            "heading_rad": start.heading_rad,
             "loop": VARIANTS[variant],
             "planner": planner,
             "tracker": tracker,
@@ -85,13 +78,13 @@ async def evaluate_tasks(
     """
     wanted = [(task, index) for task in tasks for index in range(episodes)]
     specs = {key: episode_spec(*key, seed, variant, planner, tracker) for key in wanted}
-    rows = {key: row for key, row in _done(resume, seed, variant).items() if key in specs}
+    rows = {key: row for key, row in _done(resume, seed, variant, planner, tracker).items() if key in specs}
     gate = asyncio.Semaphore(parallel)
 
     async def one(key: tuple[str, int]) -> None:
         async with gate:
             outcome = await run_one(specs[key], services)
-        row = _row(key, seed, variant, outcome)
+        row = {**_row(key, seed, variant, outcome), "planner": planner, "tracker": tracker}
         rows[key] = row
         if resume is not None:
             resume.parent.mkdir(parents=True, exist_ok=True)
@@ -108,31 +101,53 @@ async def evaluate_tasks(
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Rates with a Wilson interval on the strict one, and what went wrong."""
+    """Rates with a Wilson interval on the strict one, and what went wrong; `by_octant` of the direction at the start.
+
+    As in the release `success_code` of getting up counts only those that sat.
+    """
     n = len(rows)
     strict = sum(row["strict"] for row in rows)
+    counted = [row for row in rows if row["measures"].get("was_low", 1.0)]
+    octants = sorted({row["octant"] for row in rows if row.get("octant") is not None})
     times = [row["seconds"] for row in rows if row["strict"]]
     low, high = wilson(strict, n)
     return {
         "n": n,
         "success_strict": strict / n,
         "success_paper": sum(row["paper"] for row in rows) / n,
-        "success_code": sum(row["code"] for row in rows) / n,
+        "success_code": sum(row["code"] for row in counted) / len(counted) if counted else None,
         "ci95": [round(low, 4), round(high, 4)],
         "falls": sum(row["fell"] for row in rows),
         "median_time_s": float(np.median(times)) if times else None,
+        "by_octant": {str(which): _share([row for row in rows if row.get("octant") == which]) for which in octants},
         "failures": [{key: row[key] for key in ("index", "reason", "measures")} for row in rows if not row["strict"]],
     }
 
 
+def _share(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    good = sum(row["strict"] for row in rows)
+    low, high = wilson(good, len(rows))
+    return {"n": len(rows), "success_strict": good / len(rows), "ci95": [round(low, 4), round(high, 4)]}
+
+
 def _row(key: tuple[str, int], seed: int, variant: str, outcome: EpisodeOutcome) -> dict[str, Any]:
-    base = {"task": key[0], "index": key[1], "seed": seed, "variant": variant, "plans": outcome.plans}
-    if not outcome.results:
+    """One episode; where it ended before the task that counts, that has failed."""
+    start = start_of(key[0], task_seed(seed, key[1]))
+    results = [result for result in outcome.results if result.index == len(start.tasks) - 1]
+    measures = results[0].measures if results else {}
+    bearing = start.bearing_rad
+    if bearing is None and "goal_x_m" in measures:
+        bearing = atan2(measures["goal_y_m"], measures["goal_x_m"]) - start.heading_rad
+    base = {
+        "task": key[0], "index": key[1], "seed": seed, "variant": variant, "plans": outcome.plans,
+        "octant": None if bearing is None else octant(bearing), "limb": start.tasks[-1].get("limb"),
+    }  # fmt: skip
+    if not results:
         return {
             **base, "strict": False, "paper": False, "code": False, "fell": False, "seconds": 0.0,
             "reason": outcome.reason, "measures": {},
         }  # fmt: skip
-    result = outcome.results[0]
+    result = results[0]
     return {
         **base,
         "strict": result.success_strict,
@@ -141,12 +156,20 @@ def _row(key: tuple[str, int], seed: int, variant: str, outcome: EpisodeOutcome)
         "fell": result.fell,
         "seconds": result.seconds,
         "reason": result.reason,
-        "measures": result.measures,
+        "measures": measures,
     }
 
 
-def _done(path: Path | None, seed: int, variant: str) -> dict[tuple[str, int], dict[str, Any]]:
+def _done(
+    path: Path | None, seed: int, variant: str, planner: str | None, tracker: str | None
+) -> dict[tuple[str, int], dict[str, Any]]:
+    """Finished episodes of the same command. A line that a kill has cut off is taken out of the file."""
     if path is None or not path.exists():
         return {}
-    rows = [json.loads(line) for line in path.read_text().splitlines() if line.endswith("}")]
-    return {(row["task"], row["index"]): row for row in rows if row["seed"] == seed and row["variant"] == variant}
+    text = path.read_text()
+    whole = text[: text.rfind("\n") + 1]
+    if whole != text:
+        path.write_text(whole)
+    rows = [json.loads(line) for line in whole.splitlines()]
+    wanted = {"seed": seed, "variant": variant, "planner": planner, "tracker": tracker}
+    return {(row["task"], row["index"]): row for row in rows if {key: row.get(key) for key in wanted} == wanted}

@@ -11,17 +11,22 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 
 from orchestrator.cli.braille import Canvas, side_view, top_view
 from orchestrator.client import Client
 from orchestrator.core.supervise import Stack, address_in
+from orchestrator.evaluation.starts import Start, octant, start_of
 from orchestrator.evaluation.statistics import percentiles, wilson
 from orchestrator.evaluation.tasks import episode_spec, summary
 from orchestrator.evaluation.text import COMMANDS, choose_commands
 from shared.errors import InvalidInputError
 from shared.motion.ik import standing_clip
+from shared.motion.rotations import wrap_angle
+from shared.scenes.placing import mark_place
+from shared.scenes.schema import Scene, SceneBody
 from shared.tasks.obey import kind_of
 
 MOTIONLOOP = [sys.executable, "-m", "motionloop"]
@@ -132,6 +137,54 @@ def test_eval_tasks_writes_the_fields_and_resumes(tmp_path: Path) -> None:
     assert result["seed"] == 3
     assert result["machine"]["cores"] >= 1
     assert len((tmp_path / "rows.jsonl").read_text().splitlines()) == 2
+
+
+def test_eval_tasks_goes_on_after_a_kill_with_the_same_table(tmp_path: Path) -> None:
+    """The file of a killed run: some rows, the last cut off. Who only stands strikes and sits on nothing."""
+    rows = tmp_path / "rows.jsonl"
+    command = [
+        "eval", "tasks", "--tasks", "strike,sit,get_up", "--episodes", "2", "--planner", "stand",
+        "--tracker", "kinematic", "--report", str(tmp_path / "report.md"), "--resume", str(rows), "--json",
+    ]  # fmt: skip
+    run(*command, str(tmp_path / "whole.json"))
+    whole = json.loads((tmp_path / "whole.json").read_text())["tasks"]
+    lines = rows.read_text().splitlines(keepends=True)
+    assert len(lines) == 6
+    rows.write_text("".join(lines[:3]) + lines[3][:40])
+    run(*command, str(tmp_path / "again.json"))
+    assert json.loads((tmp_path / "again.json").read_text())["tasks"] == whole
+    assert len(rows.read_text().splitlines()) == 6
+    assert {name: row["success_strict"] for name, row in whole.items()} == {"strike": 0.0, "sit": 0.0, "get_up": 0.0}
+    assert whole["get_up"]["success_code"] is None, "none has sat, so that the release would count none"
+    assert sum(part["n"] for part in whole["strike"]["by_octant"].values()) == 2
+    assert "| strike | 2 | 0.000 |" in (tmp_path / "report.md").read_text()
+
+
+def test_starts_are_as_far_and_in_as_many_directions_as_in_the_paper() -> None:
+    made = {task: [start_of(task, seed) for seed in range(300)] for task in ("strike", "sit")}
+    for starts in made.values():
+        octants = [octant(start.bearing_rad) for start in starts if start.bearing_rad is not None]
+        assert min(np.bincount(octants, minlength=8)) > 15
+    places = [np.hypot(*body_of(start).position_w_m[:2]) for start in made["strike"]]
+    assert 1.0 <= min(places) < 1.05
+    assert 1.45 < max(places) <= 1.5
+    assert {start.tasks[0]["limb"] for start in made["strike"]} == {
+        "left_hand", "right_hand", "left_foot", "right_foot",
+    }  # fmt: skip
+    for start in made["sit"]:
+        assert isinstance(start.scene, Scene)
+        seat = mark_place(start.scene, "seat_centre")
+        assert 1.0 <= np.hypot(*seat.position_w_m[:2]) <= 1.2
+        to_body = np.arctan2(-seat.position_w_m[1], -seat.position_w_m[0])
+        assert abs(wrap_angle(to_body - seat.heading_rad)) <= np.pi / 3 + 1e-9
+    assert [octant(angle) for angle in (0.0, 0.39, 0.40, np.pi / 2, np.pi, -np.pi / 2, -0.4)] == [0, 0, 1, 2, 4, 6, 7]
+    assert start_of("strike", 5) == made["strike"][5]
+
+
+def body_of(start: Start) -> SceneBody:
+    """The one object of a start's scene."""
+    assert isinstance(start.scene, Scene)
+    return start.scene.bodies[0]
 
 
 def test_serve_all_keeps_three_processes_up_and_ends_everything_on_sigterm(tmp_path: Path) -> None:
