@@ -16,7 +16,7 @@ from tests.orchestrator.support import light
 from tests.planner_service.motion import write_library
 
 REPO = Path(__file__).resolve().parent.parent.parent
-EXAMPLES = ("glide_planner", "own_rate", "ahead_tracker")
+EXAMPLES = ("glide_planner", "own_rate", "ahead_tracker", "touch_task")
 
 
 def install(example: Path, site: Path) -> None:
