@@ -30,43 +30,63 @@ FIXED = {"pacing": "lockstep", "planner_batch": 1, "seeds": "one an episode or s
 Job = Callable[[Services, Stack], Awaitable[dict[str, Any]]]
 
 
+Jobs = Callable[[list[Services]], Awaitable[dict[str, Any]]]
+
+
 def with_services(
     job: Job, planner: str | None, tracker: str | None, threads: int, repeatable: bool = False
 ) -> dict[str, Any]:
-    """Run a measurement over a planner and a tracker of its own; adds what they were.
+    """Run a measurement over a planner and a tracker of its own; adds what they were. See `with_pairs`."""
+    batch = ("--max-batch", "1") if repeatable else ()
+    stack = _stack(threads, batch)
+    return with_pairs(lambda pairs: job(pairs[0], stack), [stack], planner, tracker, threads, repeatable)
+
+
+def with_pairs(
+    job: Jobs, stacks: list[Stack], planner: str | None, tracker: str | None, threads: int, repeatable: bool
+) -> dict[str, Any]:
+    """Run a measurement over one or more pairs of planner and tracker; adds what they were.
 
     Args:
         repeatable: plan for one character at a time. What else is in a batch changes the last bits of a plan, and which
             requests meet in one depends on the clock; chaotic as bodies are, a table would differ from run to run.
     """
-    batch = ("--max-batch", "1") if repeatable else ()
-    stack = Stack(
-        StackOptions(planner_args=("--threads", str(threads), *batch), tracker_args=("--max-characters", "64")),
-        console.print,
-    )
 
     async def run() -> dict[str, Any]:
-        endpoints = stack.start_services()
-        services = Services(
-            await connect(endpoints[0], "planner", planner), await connect(endpoints[1], "tracker", tracker)
-        )
+        pairs: list[Services] = []
         try:
-            result = await job(services, stack)
+            for stack in stacks:
+                endpoints = stack.start_services()
+                pairs.append(
+                    Services(
+                        await connect(endpoints[0], "planner", planner), await connect(endpoints[1], "tracker", tracker)
+                    )
+                )
+            result = await job(pairs)
             return {
                 **result,
-                "planner": services.planner.spec(),
-                "tracker": services.tracker.spec(),
+                "planner": pairs[0].planner.spec(),
+                "tracker": pairs[0].tracker.spec(),
                 "planner_threads": threads,
                 **({"deterministic": True, "fixed": {**FIXED, "planner_threads": threads}} if repeatable else {}),
             }
         finally:
-            await services.close()
+            for services in pairs:
+                await services.close()
 
     try:
         with for_people():
             return asyncio.run(run())
     finally:
-        stack.stop()
+        for stack in stacks:
+            stack.stop()
+
+
+def _stack(threads: int, batch: tuple[str, ...]) -> Stack:
+    return Stack(
+        StackOptions(planner_args=("--threads", str(threads), *batch), tracker_args=("--max-characters", "64")),
+        console.print,
+    )
 
 
 class Bar:
@@ -99,6 +119,7 @@ def eval_tasks(
     seed: int = 1,
     variant: Annotated[str, typer.Option(help="closed_loop, open_loop, paper, short or long")] = "closed_loop",
     parallel: Annotated[int, typer.Option(min=1, max=64, help="episodes at once")] = 8,
+    jobs: Annotated[int, typer.Option(min=1, max=64, help="pairs of planner and tracker, a core or two each")] = 1,
     threads: Threads = 1,
     planner: Planner = None,
     tracker: Tracker = None,
@@ -109,10 +130,11 @@ def eval_tasks(
     """Success rates of tasks (strict, paper, code) with a Wilson interval."""
     names = [name.strip() for name in tasks.split(",") if name.strip()]
     with Bar("episodes") as bar:
-        result = with_services(
-            lambda services, stack: evaluate_tasks(
-                services, names, episodes, seed, variant, parallel, planner, tracker, resume, bar.update
+        result = with_pairs(
+            lambda pairs: evaluate_tasks(
+                pairs, names, episodes, seed, variant, parallel, planner, tracker, resume, bar.update
             ),
+            [_stack(threads, ("--max-batch", "1")) for _ in range(jobs)],
             planner, tracker, threads, repeatable=True,
         )  # fmt: skip
     whole = {**result, **provenance(seed)}

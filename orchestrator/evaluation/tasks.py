@@ -57,7 +57,7 @@ async def run_one(spec: EpisodeSpec, services: Services) -> EpisodeOutcome:
 
 
 async def evaluate_tasks(
-    services: Services,
+    pairs: Sequence[Services],
     tasks: Sequence[str],
     episodes: int,
     seed: int,
@@ -71,6 +71,7 @@ async def evaluate_tasks(
     """Success of each task over `episodes` episodes.
 
     Args:
+        pairs: of planner and tracker; the episodes are spread over them, and the table is the same for any number.
         resume: JSON lines file of finished episodes; those in it are not run again, new ones are added.
 
     Returns:
@@ -79,11 +80,12 @@ async def evaluate_tasks(
     wanted = [(task, index) for task in tasks for index in range(episodes)]
     specs = {key: episode_spec(*key, seed, variant, planner, tracker) for key in wanted}
     rows = {key: row for key, row in _done(resume, seed, variant, planner, tracker).items() if key in specs}
+    todo = [key for key in wanted if key not in rows]
     gate = asyncio.Semaphore(parallel)
 
-    async def one(key: tuple[str, int]) -> None:
+    async def one(place: int, key: tuple[str, int]) -> None:
         async with gate:
-            outcome = await run_one(specs[key], services)
+            outcome = await run_one(specs[key], pairs[place % len(pairs)])
         row = {**_row(key, seed, variant, outcome), "planner": planner, "tracker": tracker}
         rows[key] = row
         if resume is not None:
@@ -94,9 +96,8 @@ async def evaluate_tasks(
             progress(len(rows), len(wanted), row)
 
     async with asyncio.TaskGroup() as group:
-        for key in wanted:
-            if key not in rows:
-                group.create_task(one(key))
+        for place, key in enumerate(todo):
+            group.create_task(one(place, key))
     return {"tasks": {task: summary([rows[task, i] for i in range(episodes)]) for task in tasks}, "variant": variant}
 
 

@@ -151,7 +151,7 @@ def test_eval_tasks_goes_on_after_a_kill_with_the_same_table(tmp_path: Path) -> 
     lines = rows.read_text().splitlines(keepends=True)
     assert len(lines) == 6
     rows.write_text("".join(lines[:3]) + lines[3][:40])
-    run(*command, str(tmp_path / "again.json"))
+    run(*command, str(tmp_path / "again.json"), "--jobs", "2")
     assert json.loads((tmp_path / "again.json").read_text())["tasks"] == whole
     assert len(rows.read_text().splitlines()) == 6
     assert {name: row["success_strict"] for name, row in whole.items()} == {"strike": 0.0, "sit": 0.0, "get_up": 0.0}
