@@ -6,15 +6,17 @@ import { view } from "./store.js";
 
 const TITLE = {
   reach: "Walk to a point", halt: "Stand still", text: "Do what I say", strike: "Strike", sit: "Sit down",
-  get_up: "Get up",
+  get_up: "Get up", velocity: "Keep a speed",
 };
 const WHAT = {
   reach: "To a place ahead of it, or anywhere", halt: "Stop, and stay there", text: "Anything you can put in words",
+  strike: "Topple the bag of a scene that has one", sit: "On the seat of a scene that has one",
+  get_up: "From the seat, or from the floor", velocity: "So fast, in one direction",
 };
 /** Fields worth showing, in this order, where a task has them; the rest keep the server's defaults. */
-const SHOWN = ["text", "limb", "hand", "joint", "style", "relative_m", "duration_s", "time_limit_s"];
+const SHOWN = ["text", "limb", "hand", "joint", "gait", "style", "from", "relative_m", "relative_mps", "retries", "duration_s", "time_limit_s"];
 const WORDS = {
-  text: "In words", relative_m: ["Ahead, m", "To the left, m"], duration_s: "For, s", time_limit_s: "Time limit, s",
+  text: "In words", relative_m: ["Ahead, m", "To the left, m"], relative_mps: ["Ahead, m/s", "To the left, m/s"], duration_s: "For, s", time_limit_s: "Time limit, s",
 };
 const FIRST = { text: "a person waves with the right hand." };
 
@@ -94,7 +96,9 @@ function firstSentence(text) {
 /** What a field of a JSON Schema is: text, number, pair, choice, or null for what is not offered here. */
 function shapeOf(schema) {
   const branch = schema.anyOf?.find((option) => option.type !== "null") ?? schema;
-  if (Array.isArray(branch.enum)) return { shape: "choice", choices: branch.enum };
+  if (Array.isArray(branch.enum)) {
+    return { shape: "choice", choices: branch === schema ? branch.enum : ["", ...branch.enum] };
+  }
   if (branch.type === "string") return { shape: "text" };
   if (branch.type === "number" || branch.type === "integer") return { shape: "number" };
   if (branch.type === "array" && branch.prefixItems?.length === 2) return { shape: "pair" };
@@ -110,6 +114,7 @@ function defaults(kind) {
   const values = {};
   for (const name of offered(kind)) values[name] = kind.parameters.properties[name].default ?? null;
   if (kind.type === "reach") values.relative_m = targetAhead() ?? [2, 0];
+  if (kind.type === "velocity") values.relative_mps = [1, 0];
   if (kind.type === "text") values.text = lastText() ?? FIRST.text;
   return values;
 }
@@ -136,7 +141,7 @@ function fields(task) {
     const words = WORDS[name] ?? name.replaceAll("_", " ");
     const value = task.values[name];
     if (shape === "choice") {
-      const select = el("select", { onchange: () => { task.values[name] = select.value; } },
+      const select = el("select", { onchange: () => { task.values[name] = select.value || null; } },
         ...choices.map((choice) => el("option", { value: String(choice) }, String(choice))));
       select.value = value ?? choices[0];
       return [el("label", {}, words, select)];
