@@ -164,7 +164,6 @@ class Character:
         """Push a body, e.g. `push("spine3", (0, 30, 0))`: newton seconds in the world frame."""
         return self._client.do(calls.push(self.id, body, impulse_ns))
 
-    @property
     def objects(self) -> dict[str, ObjectState]:
         """The objects of its scene by name, now."""
         return self._client.do(calls.objects(self.id))

@@ -184,10 +184,10 @@ def test_the_token_is_sent_everywhere(stack: Stack, monkeypatch: pytest.MonkeyPa
 def test_a_scene_of_ones_own_and_an_object_that_is_thrown(client: Client) -> None:
     ball = {"name": "ball", "shape": "sphere", "size_m": [0.1], "mass_kg": 0.5, "position_w_m": [2, 0, 0.1]}
     with client.character(pacing="lockstep", tracker="pd", scene={"bodies": [ball]}) as character:
-        assert character.objects["ball"].position_m == (2.0, 0.0, 0.1)
+        assert character.objects()["ball"].position_m == (2.0, 0.0, 0.1)
         thrown = character.move_object("ball", position_m=(2, 1, 1), velocity_mps=(0, 3, 0))
         assert (thrown.position_m, thrown.velocity_mps) == ((2.0, 1.0, 1.0), (0.0, 3.0, 0.0))
         character.step(6)
-        assert character.objects["ball"].position_m[1] == pytest.approx(1.6, abs=0.02)
+        assert character.objects()["ball"].position_m[1] == pytest.approx(1.6, abs=0.02)
         with pytest.raises(ServerProblem, match="unknown object 'cube'"):
             character.move_object("cube", position_m=(0, 0, 0))

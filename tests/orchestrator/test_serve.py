@@ -70,7 +70,9 @@ from orchestrator.store.lock import FolderLock
 FolderLock(Path(sys.argv[1])).acquire(); print("held", flush=True); input()
 """
 RUN = """
-import sys; sys.argv[0] = "motionloop"; print("up", flush=True)
+import signal, sys; sys.argv[0] = "motionloop"
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background is started with it ignored
+print("up", flush=True)
 from motionloop.cli import main; main()
 """
 

@@ -23,7 +23,9 @@ from tracker_service.policy.observations import PREVIEW_TICKS, PolicyInput, feed
 F32 = npt.NDArray[np.float32]
 Array = npt.NDArray[np.floating]
 
-WEIGHTS = Path(__file__).parent.parent / "weights" / "ppo.safetensors"
+WEIGHTS = Path(__file__).parent.parent / "weights" / "learned.safetensors"
+SILU_FLOOR = np.float32(-80.0)
+"""Below this SiLU is zero in float32, and its exponential would overflow."""
 
 
 class PolicyCard(BaseModel):
@@ -70,7 +72,7 @@ class PolicyNetwork:
         for i, (w, b) in enumerate(zip(self._weights, self._biases, strict=True)):
             x = x @ w + b
             if i < len(self._weights) - 1:
-                x = x / (1.0 + np.exp(-x))
+                x = x / (1.0 + np.exp(-np.maximum(x, SILU_FLOOR)))
         return np.asarray(np.clip(x, -1.0, 1.0), dtype=np.float32)
 
 
