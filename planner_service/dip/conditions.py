@@ -69,7 +69,7 @@ class TargetBatch:
         joint = (
             torch.cat(
                 [
-                    self.position_m * SLOT_AXES,
+                    self.position_m * SLOT_AXES.to(self.position_m.device),
                     torch.ones_like(self.position_m[..., :1]),
                     (self.position_frame / plan_frames)[..., None],
                 ],
@@ -159,13 +159,14 @@ def joints_at_arrival(positions_m: Tensor, frames: Tensor) -> Tensor:
     Returns:
         (B, 7, 3), z of `traj` zero.
     """
-    batch = torch.arange(positions_m.shape[0])[:, None]
-    return positions_m[batch, frames - 1, SLOT_JOINTS] * SLOT_AXES
+    device = positions_m.device
+    batch = torch.arange(positions_m.shape[0], device=device)[:, None]
+    return positions_m[batch, frames - 1, SLOT_JOINTS.to(device)] * SLOT_AXES.to(device)
 
 
 def heading_at_arrival(heading_rad: Tensor, frames: Tensor) -> Tensor:
     """Heading (B,) of plans (B, N) at arrival frames (B,) from 1."""
-    return heading_rad[torch.arange(heading_rad.shape[0]), frames - 1]
+    return heading_rad[torch.arange(heading_rad.shape[0], device=heading_rad.device), frames - 1]
 
 
 def wrapped_difference(a_rad: Tensor, b_rad: Tensor) -> Tensor:

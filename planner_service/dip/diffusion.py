@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
@@ -54,6 +54,11 @@ def cosine_schedule(steps: int, offset: float = 0.008, max_beta: float = 0.999) 
         xt_weight=((1 - before) * (1 - beta).sqrt() / (1 - alpha_bar)).float(),
         sigma=(beta * (1 - before) / (1 - alpha_bar)).sqrt().float(),
     )
+
+
+def on_device(schedule: Schedule, device: torch.device) -> Schedule:
+    """The same constants on a device."""
+    return Schedule(**{field.name: getattr(schedule, field.name).to(device) for field in fields(Schedule)})
 
 
 def add_noise(schedule: Schedule, x0: Tensor, step: Tensor, noise: Tensor) -> Tensor:

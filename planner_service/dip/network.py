@@ -177,7 +177,7 @@ class DipNetwork(nn.Module):
             keep = self.config.plan_frames if number == last else x.shape[1]
             x = layer(x, memory, mask, keep)
         # Eight bits of mantissa in the output would be half a millimetre of noise a frame.
-        with torch.autocast("cpu", enabled=False):
+        with torch.autocast(x.device.type, enabled=False):
             return self.frame_out(self.norm_out(x.float()))
 
 

@@ -137,9 +137,19 @@ class TextBank:
         """(S, dim) the pooled token of every sentence."""
         return self._tokens[:, 0]
 
-    def rows(self, index: Index, keep: npt.NDArray[np.bool_]) -> tuple[Tensor, Tensor]:
-        """Token features (B, L, dim) and mask (B, L) of sentences; none where `keep` is False."""
-        mask = self._mask[index] & torch.from_numpy(keep)[:, None]
+    def to(self, device: torch.device) -> TextBank:
+        """The bank on a device; itself."""
+        self._tokens, self._mask = self._tokens.to(device), self._mask.to(device)
+        return self
+
+    def rows(self, index: Tensor, keep: Tensor) -> tuple[Tensor, Tensor]:
+        """Token features (B, L, dim) and mask (B, L) of sentences; none where `keep` is False.
+
+        L is that of the longest on a CPU; elsewhere it is always that of the bank, as asking would wait for the device.
+        """
+        mask = self._mask[index] & keep[:, None]
+        if mask.device.type != "cpu":
+            return self._tokens[index], mask
         length = max(int(mask.sum(-1).max()), 1)
         return self._tokens[index, :length], mask[:, :length]
 
@@ -198,6 +208,10 @@ class WindowSampler:
     def state(self) -> str:
         """State of the generator as JSON."""
         return json.dumps(self._rng.bit_generator.state)
+
+    def restart(self, seed: Sequence[int]) -> None:
+        """Begin anew with a generator of this seed."""
+        self._rng = np.random.default_rng(seed)
 
     def restore(self, state: str) -> None:
         """Continue from a state that `state` gave."""

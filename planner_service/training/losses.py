@@ -151,7 +151,7 @@ def dip_loss(
     group_weights: Tensor,
     keyframes: KeyframeBatch | None = None,
     velocities: VelocityBatch | None = None,
-) -> tuple[Tensor, dict[str, float]]:
+) -> tuple[Tensor, dict[str, Tensor]]:
     """Loss of predicted against clean plans.
 
     Args:
@@ -165,9 +165,11 @@ def dip_loss(
         keyframes, velocities: what else the plan was asked to meet.
 
     Returns:
-        the loss and its terms as numbers, with errors of targets in metres and radians, of keyed joints in metres and
-        of velocities in metres a second.
+        the loss and its terms, single numbers that no gradient goes through, with errors of targets in metres and
+        radians, of keyed joints in metres and of velocities in metres a second. All stay on the device: to read one is
+        to wait for it.
     """
+    device = predicted.device
     terms = {"x0": ((predicted - clean).square() * group_weights).mean()}
     positions, heading = plan_to_positions(predicted * std + mean, FPS)
     clean_features = clean * std + mean
@@ -175,7 +177,8 @@ def dip_loss(
         true_positions, _ = plan_to_positions(clean_features, FPS)
         start = start_pose(last_prefix)
 
-    gap = (joints_at_arrival(positions, targets.position_frame) - targets.position_m * SLOT_AXES).square().sum(-1)
+    wanted = targets.position_m * SLOT_AXES.to(device)
+    gap = (joints_at_arrival(positions, targets.position_frame) - wanted).square().sum(-1)
     terms["target"] = (gap * targets.position_valid).sum() / positions.shape[0]
     turn = wrapped_difference(heading_at_arrival(heading, targets.heading_frame), targets.heading_rad)
     terms["heading"] = (turn.square() * targets.heading_valid).sum() / positions.shape[0]
@@ -189,7 +192,7 @@ def dip_loss(
         slip = (late_velocity(positions, FPS) - velocities.velocity_mps).square().sum(-1)
         terms["desired_velocity"] = (slip * velocities.valid).mean()
         errors["desired_velocity_mps"] = _mean_where(slip.detach().sqrt(), velocities.valid)
-    joints = joint_weights()
+    joints = joint_weights().to(device)
     terms["position"] = ((positions - true_positions).square().sum(-1) * joints).mean()
 
     velocity = torch.diff(torch.cat([start[:, None], positions], dim=1), dim=1) * FPS
@@ -197,12 +200,12 @@ def dip_loss(
     terms["velocity"] = (((velocity - true_velocity).square().sum(-1) * joints).mean((1, 2)) * signal).mean()
     change, true_change = (torch.diff(v, dim=1) * FPS for v in (velocity, true_velocity))
     terms["acceleration"] = ((change - true_change).square().sum(-1).mean((1, 2)) * signal).mean()
-    feet = velocity[:, :, torch.from_numpy(CANONICAL.indices(*FOOT_JOINTS))]
+    feet = velocity[:, :, torch.from_numpy(CANONICAL.indices(*FOOT_JOINTS)).to(device)]
     stance = clean_features[..., CONTACTS]
     terms["skating"] = ((feet[..., :2].square().sum(-1) * stance).mean((1, 2)) * signal).mean()
 
-    total = sum((getattr(weights, name, 1.0) * value for name, value in terms.items()), torch.zeros(()))
-    numbers = {**{name: float(value.detach()) for name, value in terms.items()}, **errors}
+    total = sum((getattr(weights, name, 1.0) * value for name, value in terms.items()), torch.zeros((), device=device))
+    numbers = {**{name: value.detach() for name, value in terms.items()}, **errors}
     with torch.no_grad():
         numbers["target_m"] = _mean_where(gap.sqrt().flatten(), targets.position_valid.flatten())
         numbers["heading_rad"] = _mean_where(turn.abs(), targets.heading_valid)
@@ -217,6 +220,6 @@ def start_pose(last_prefix: Tensor) -> Tensor:
     return plan_to_positions(still[:, None], FPS)[0][:, 0]
 
 
-def _mean_where(values: Tensor, mask: Tensor) -> float:
+def _mean_where(values: Tensor, mask: Tensor) -> Tensor:
     """Mean of the chosen values; 0 if there are none."""
-    return float((values * mask).sum() / mask.sum().clamp_min(1))
+    return (values * mask).sum() / mask.sum().clamp_min(1)

@@ -44,7 +44,10 @@ def train(
     learning_rate: Annotated[float, typer.Option(help="of AdamW")] = 4e-4,
     decay_until: Annotated[int | None, typer.Option(help="step by which the rate has fallen to a twentieth")] = None,
     threads: Annotated[int, typer.Option(help="CPU threads", min=1)] = 1,
-    bf16: Annotated[bool | None, typer.Option(help="bfloat16 autocast; default: where the processor has it")] = None,
+    device: Annotated[str, typer.Option(help="cpu or cuda")] = "cpu",
+    workers: Annotated[int, typer.Option(help="processes that draw windows; 0: the training itself", min=0)] = 0,
+    bf16: Annotated[bool | None, typer.Option(help="bfloat16 autocast; default: where the device has it")] = None,
+    ema_decay: Annotated[float, typer.Option(help="of the weights' average", min=0, max=1)] = 0.9999,
     seed: Annotated[int, typer.Option(help="of windows, noise and dropout", min=0)] = 0,
     save_every: Annotated[int, typer.Option(help="steps between checkpoints", min=1)] = 250,
     emphasis: Annotated[str, typer.Option(help="draw these more often, e.g. wave=2,action:walk=1.5")] = "",
@@ -83,14 +86,16 @@ def train(
         batch=batch,
         learning_rate=learning_rate,
         decay_until=decay_until,
-        bf16=bf16_pays() if bf16 is None else bf16,
+        bf16=(device != "cpu" or bf16_pays()) if bf16 is None else bf16,
+        ema_decay=ema_decay,
+        workers=workers,
         seed=seed,
         save_every=save_every,
         keyframe_weight=keyframe_weight,
         velocity_weight=velocity_weight,
     )
     sampler = _sampler(material, network.config, seed)
-    trainer = Trainer(network, normalizer, sampler, texts, settings, out)
+    trainer = Trainer(network, normalizer, sampler, texts, settings, out, device)
     if content is not None:
         trainer.restore(content)
     (out / "command.txt").write_text(" ".join(sys.argv) + "\n", encoding="utf-8")

@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import json
 import time
-from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 from torch.utils.tensorboard import SummaryWriter
 
 from planner_service.dip.config import DipConfig
-from planner_service.dip.diffusion import add_noise, cosine_schedule
+from planner_service.dip.diffusion import add_noise, cosine_schedule, on_device
 from planner_service.dip.features_torch import Normalizer
 from planner_service.dip.network import DipNetwork
-from planner_service.training.asking import sample_asked
 from planner_service.training.dataset import TextBank, WindowSampler
+from planner_service.training.drawing import NumberedWork, Shares, Work, draw, drawn_by_workers
 from planner_service.training.losses import LossWeights, dip_loss, feature_weights
 from shared.processor import bf16_pays
 
@@ -38,6 +36,7 @@ class TrainSettings(BaseModel):
             or a heading that get them.
         keyframe_weight, velocity_weight: of the squared errors of keyed joints (m2) and of the velocity (m2/s2).
         ema_decay: the average's decay is min(ema_decay, (1 + n) / (10 + n)) at step n.
+        workers: processes that draw the windows; 0 draws them between the updates.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -57,6 +56,7 @@ class TrainSettings(BaseModel):
     seed: int = 0
     log_every: int = Field(20, gt=0)
     save_every: int = Field(250, gt=0)
+    workers: int = Field(0, ge=0)
 
 
 @dataclass
@@ -76,6 +76,7 @@ class Trainer:
         sampler, texts: where windows and token features come from.
         settings: how.
         out: folder for `last.pt`, `log.jsonl` and TensorBoard's files.
+        device: where the networks are trained, e.g. `cuda`.
     """
 
     def __init__(
@@ -86,13 +87,18 @@ class Trainer:
         texts: TextBank,
         settings: TrainSettings,
         out: Path,
+        device: str = "cpu",
     ):
         self.network, self.normalizer, self.settings, self.out = network, normalizer, settings, out
+        self.device = torch.device(device)
+        self.network.to(self.device)
         self.average = deepcopy(network).eval().requires_grad_(False)
-        self._sampler, self._texts = sampler, texts
-        self._schedule = cosine_schedule(network.config.steps)
+        self._sampler, self._texts = sampler, texts.to(self.device)
+        self._schedule = on_device(cosine_schedule(network.config.steps), self.device)
+        self._there = Normalizer(normalizer.mean.to(self.device), normalizer.std.to(self.device))
         self._weights = LossWeights(keyframe=settings.keyframe_weight, desired_velocity=settings.velocity_weight)
-        self._group_weights = feature_weights(self._weights)
+        self._group_weights = feature_weights(self._weights).to(self.device)
+        self._shares = Shares(settings.batch, settings.text_dropout, settings.keyed_share, settings.velocity_share)
         self._optimizer = torch.optim.AdamW(
             network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay, fused=True
         )
@@ -108,19 +114,20 @@ class Trainer:
 
     def run(self, until: int, stop: Callable[[], bool], report: Callable[[str], None]) -> None:
         """Train until step `until` or until `stop()`; either way a checkpoint is written at the end."""
-        sums: dict[str, float] = defaultdict(float)
+        sums: dict[str, Tensor] = {}
         began, since = time.monotonic(), self.state.step
         last = began
         with (self.out / "log.jsonl").open("a", encoding="utf-8") as log, SummaryWriter(str(self.out / "tb")) as board:
+            drawn = self._drawn(until)
             while self.state.step < until and not stop():
-                for name, value in self.train_step().items():
-                    sums[name] += value
+                for name, term in self.update(next(drawn)).items():
+                    sums[name] = sums[name] + term if name in sums else term
                 now = time.monotonic()
                 self.state.hours += (now - last) / 3600
                 last = now
                 done = self.state.step - since
                 if done % self.settings.log_every == 0:
-                    means = {k: v / self.settings.log_every for k, v in sums.items()}
+                    means = {k: float(v) / self.settings.log_every for k, v in sums.items()}
                     sums.clear()
                     pace = done / (now - began)
                     row = {"step": self.state.step, "hours": self.state.hours, "steps_per_s": pace, **means}
@@ -137,35 +144,42 @@ class Trainer:
         report(f"stopped at step {self.state.step}; checkpoint in {self.out / 'last.pt'}")
 
     def train_step(self) -> dict[str, float]:
-        """One update; the loss terms."""
+        """One update on work drawn now; the loss terms."""
+        return {name: float(value) for name, value in self.update(next(self._drawn(self.state.step + 1))).items()}
+
+    def _drawn(self, until: int) -> Iterator[Work]:
+        """The work of the steps from the present one to before `until`."""
+        if self.settings.workers:
+            source = NumberedWork(self._sampler, self.config, self._shares, self.settings.seed)
+            pinned = self.device.type == "cuda"
+            yield from drawn_by_workers(source, self.state.step, until, self.settings.workers, pinned)
+        while not self.settings.workers:
+            yield draw(self._sampler, self.config, self._shares, self._generator)
+
+    def update(self, work: Work) -> dict[str, Tensor]:
+        """One update; the loss terms, on the device."""
         settings, config = self.settings, self.config
-        batch = self._sampler.draw(settings.batch)
-        keep = self._sampler.rng.random(settings.batch) >= settings.text_dropout
-        prefix, plan = batch.features[:, : config.prefix_frames], batch.features[:, config.prefix_frames :]
-        asked = sample_asked(plan, config, settings.keyed_share, settings.velocity_share, self._generator)
-        # A bent path is explained by what is asked for, never by the sentence alone.
-        keep &= batch.shown & (asked.any().numpy() | ~batch.bent)
-        text, text_mask = self._texts.rows(batch.sentence, np.asarray(keep))
-        clean = self.normalizer.normalize(plan)
-        step = torch.randint(0, config.steps, (settings.batch,), generator=self._generator)
-        noise = torch.randn(clean.shape, generator=self._generator)
-        noisy = add_noise(self._schedule, clean, step, noise)
+        work = work.to(self.device)
+        asked = work.asked
+        text, text_mask = self._texts.rows(work.sentence, work.keep)
+        clean = self._there.normalize(work.plan)
+        noisy = add_noise(self._schedule, clean, work.step, self._noise(work))
         vector = asked.targets.vector(config.plan_frames)
         keyframes = None if asked.keyframes is None else asked.keyframes.vector()
         velocity = None if asked.velocity is None else asked.velocity.vector()
         self.network.train()
-        with torch.autocast("cpu", torch.bfloat16, enabled=settings.bf16):
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=settings.bf16):
             predicted = self.network(
-                noisy, step, self.normalizer.normalize(prefix), vector, text, text_mask, keyframes, velocity
+                noisy, work.step, self._there.normalize(work.prefix), vector, text, text_mask, keyframes, velocity
             )
         loss, terms = dip_loss(
             predicted.float(),
             clean,
-            prefix[:, -1],
-            self.normalizer.mean,
-            self.normalizer.std,
+            work.prefix[:, -1],
+            self._there.mean,
+            self._there.std,
             asked.targets,
-            self._schedule.alpha_bar[step],
+            self._schedule.alpha_bar[work.step],
             self._weights,
             self._group_weights,
             asked.keyframes,
@@ -182,7 +196,14 @@ class Trainer:
         self._optimizer.step()
         self._update_average()
         self.state.step += 1
-        return {"loss": float(loss.detach()), **terms, "grad_norm": float(norm)}
+        return {"loss": loss.detach(), **terms, "grad_norm": norm}
+
+    def _noise(self, work: Work) -> Tensor:
+        """Noise (B, N, F) of the work, or where it brings none that of this step, drawn by the device."""
+        if work.noise is not None:
+            return work.noise
+        generator = torch.Generator(self.device).manual_seed(self.settings.seed * 1_000_003 + self.state.step)
+        return torch.randn(work.plan.shape, generator=generator, device=self.device)
 
     def _update_average(self) -> None:
         n = self.state.step
@@ -207,6 +228,8 @@ class Trainer:
             "generator": self._generator.get_state(),
             "torch_rng": torch.get_rng_state(),
         }
+        if self.device.type == "cuda":
+            content["device_rng"] = torch.cuda.get_rng_state(self.device)
         scratch = path.with_suffix(".part")
         torch.save(content, scratch)
         scratch.rename(path)
@@ -219,6 +242,8 @@ class Trainer:
         self._sampler.restore(content["sampler"])
         self._generator.set_state(content["generator"])
         torch.set_rng_state(content["torch_rng"])
+        if self.device.type == "cuda" and "device_rng" in content:
+            torch.cuda.set_rng_state(content["device_rng"], self.device)
         self.state = TrainState(content["step"], content["hours"])
 
 
@@ -231,7 +256,7 @@ def learning_rate(settings: TrainSettings, step: int) -> float:
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
     """Content of a checkpoint; only tensors and plain values are read."""
-    content: dict[str, Any] = torch.load(path, weights_only=True)
+    content: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
     return content
 
 
