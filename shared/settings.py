@@ -1,31 +1,41 @@
-"""Settings: pydantic models filled from the command line, then the environment, then defaults.
+"""Settings: pydantic-settings models filled from the command line, then the environment, then defaults.
 
 A field `max_batch` of a model with prefix `MOTIONLOOP_PLANNER_` is `--max-batch` on the command line and
-`MOTIONLOOP_PLANNER_MAX_BATCH` in the environment. Lists are written with commas.
+`MOTIONLOOP_PLANNER_MAX_BATCH` in the environment. Lists are written with commas, and a variable that is empty counts as
+not set. Only services have settings of this kind: the light client does without the package.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
+from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from shared.protocol.errors import invalid_input_from
-from shared.protocol.security import CurveKeys, check_bind, load_curve_keys
+from shared.protocol.security import CurveKeys, check_bind, curve_dir_from_environment, load_curve_keys
 from shared.tracing import LogFormat
 
 S = TypeVar("S", bound="Settings")
 
 
-class Settings(BaseModel):
-    """Base of all settings: immutable, no unknown names."""
+def _split(value: Any) -> Any:
+    return tuple(part.strip() for part in value.split(",") if part.strip()) if isinstance(value, str) else value
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-    env_prefix: ClassVar[str] = "MOTIONLOOP_"
+
+Names = Annotated[tuple[str, ...], BeforeValidator(_split)]
+"""Several names; as text, with commas between them."""
+
+
+class Settings(BaseSettings):
+    """Base of all settings: immutable, no unknown names. A model of its own has its own `env_prefix`."""
+
+    model_config = SettingsConfigDict(
+        frozen=True, extra="forbid", env_prefix="MOTIONLOOP_", env_ignore_empty=True, enable_decoding=False
+    )
 
 
 class ServiceSettings(Settings):
@@ -44,7 +54,7 @@ class ServiceSettings(Settings):
     endpoint: str
     workers: Annotated[int, Field(ge=1, le=64)] = 4
     max_pending: Annotated[int, Field(ge=1, le=10_000)] = 256
-    curve_dir: Path | None = Field(default_factory=lambda: curve_dir_from_environment())
+    curve_dir: Path | None = Field(default_factory=curve_dir_from_environment)
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     log_format: LogFormat = "text"
     metrics_port: Annotated[int, Field(ge=0, le=65535)] | None = None
@@ -59,35 +69,14 @@ class ServiceSettings(Settings):
         return load_curve_keys(self.curve_dir, "server") if self.curve_dir else None
 
 
-def curve_dir_from_environment() -> Path | None:
-    """The folder of CURVE keys that services and clients of this machine share, MOTIONLOOP_CURVE_DIR."""
-    name = os.environ.get("MOTIONLOOP_CURVE_DIR")
-    return Path(name) if name else None
-
-
-def client_curve_keys(folder: Path | None = None) -> CurveKeys | None:
-    """The client's keys from `folder`, else from MOTIONLOOP_CURVE_DIR, else None."""
-    folder = folder or curve_dir_from_environment()
-    return load_curve_keys(folder, "client") if folder else None
-
-
-def load_settings(
-    model: type[S], arguments: Mapping[str, Any] | None = None, environment: Mapping[str, str] | None = None
-) -> S:
+def load_settings(model: type[S], arguments: Mapping[str, Any] | None = None) -> S:
     """Settings from arguments (None values are ignored), then the environment, then defaults.
 
     Raises InvalidInputError that names the field and what is allowed.
     """
-    environment = os.environ if environment is None else environment
-    values: dict[str, Any] = {}
-    for name in model.model_fields:
-        value: Any = (arguments or {}).get(name)
-        if value is None:
-            value = environment.get(model.env_prefix + name.upper())
-        if value is not None:
-            values[name] = _split(value) if _is_list(model, name) else value
+    given = {name: value for name, value in (arguments or {}).items() if value is not None}
     try:
-        return model(**values)
+        return model(**given)
     except ValidationError as error:
         raise invalid_input_from(error) from error
 
@@ -97,11 +86,3 @@ def add_arguments(parser: argparse.ArgumentParser, model: type[Settings]) -> Non
     for name, field in model.model_fields.items():
         default = "" if field.is_required() or field.default_factory else f" (default {field.default})"
         parser.add_argument(f"--{name.replace('_', '-')}", default=None, help=(field.description or name) + default)
-
-
-def _is_list(model: type[Settings], name: str) -> bool:
-    return "tuple[" in str(model.model_fields[name].annotation)
-
-
-def _split(value: Any) -> Any:
-    return tuple(part.strip() for part in value.split(",") if part.strip()) if isinstance(value, str) else value

@@ -12,7 +12,7 @@ import pytest
 REPO = Path(__file__).resolve().parent.parent
 PACKAGES = ("shared", "planner_service", "tracker_service", "orchestrator", "motionloop")
 
-HEAVY = ("torch", "mujoco", "fastapi", "uvicorn", "scipy", "transformers", "matplotlib")
+HEAVY = ("torch", "mujoco", "fastapi", "uvicorn", "scipy", "transformers", "matplotlib", "pydantic_settings")
 BLOCK = f"""
 import sys
 class Block:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, SecretStr, model_validator
 
-from shared.protocol.security import is_loopback
-from shared.settings import Settings, curve_dir_from_environment
+from shared.protocol.security import curve_dir_from_environment, is_loopback
+from shared.settings import Names, Settings
 from shared.tracing import LogFormat
 
 TOKEN_CHARS = 16
@@ -38,14 +38,12 @@ class OrchestratorSettings(Settings):
         log_format: lines for people, or JSON with the trace id (docs/operations.md).
     """
 
-    env_prefix: ClassVar[str] = "MOTIONLOOP_"
-
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 8080
     token: SecretStr | None = None
     command_token: SecretStr | None = None
     watch_token: SecretStr | None = None
-    allowed_hosts: tuple[str, ...] = ()
+    allowed_hosts: Names = ()
     planner: str = "tcp://127.0.0.1:5601"
     tracker: str = "tcp://127.0.0.1:5602"
     planner_plugin: str | None = None
@@ -55,7 +53,7 @@ class OrchestratorSettings(Settings):
     curve_dir: Path | None = Field(default_factory=curve_dir_from_environment)
     connect_timeout_s: Annotated[float, Field(gt=0, le=600)] = 60.0
     max_running: Annotated[int, Field(ge=1, le=1000)] = 64
-    swap_endpoints: tuple[str, ...] = ()
+    swap_endpoints: Names = ()
     max_body_bytes: Annotated[int, Field(ge=1024)] = 2**20
     max_rate_per_s: Annotated[float, Field(gt=0)] = 1000.0
     max_requests: Annotated[int, Field(ge=1)] = 256

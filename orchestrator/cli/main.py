@@ -113,8 +113,8 @@ def conformance(
 ) -> None:
     """Check that a planner or tracker service keeps the contract; exit code 0 only if it does."""
     from shared.plugins.conformance import check_planner_endpoint, check_tracker_endpoint
+    from shared.protocol.security import client_curve_keys
     from shared.protocol.transport import ServiceClient
-    from shared.settings import client_curve_keys
 
     with for_people():
         curve = client_curve_keys()

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from pydantic import Field
+from pydantic_settings import SettingsConfigDict
 
-from shared.settings import ServiceSettings
+from shared.settings import Names, ServiceSettings
 
 DEFAULT_LIBRARY = Path(__file__).resolve().parent.parent / "weights" / "clips"
 RISE_LIBRARY = Path(__file__).resolve().parent.parent / "weights" / "rises"
@@ -16,12 +17,10 @@ RISE_LIBRARY = Path(__file__).resolve().parent.parent / "weights" / "rises"
 class PlannerSettings(ServiceSettings):
     """What the planner service can be told, beside `ServiceSettings`."""
 
-    env_prefix: ClassVar[str] = "MOTIONLOOP_PLANNER_"
+    model_config = SettingsConfigDict(env_prefix="MOTIONLOOP_PLANNER_")
 
     endpoint: Annotated[str, Field(description="where to listen")] = "tcp://127.0.0.1:5601"
-    plugins: Annotated[
-        tuple[str, ...] | None, Field(description="plug-ins to offer, with commas; default: all that load")
-    ] = None
+    plugins: Annotated[Names | None, Field(description="plug-ins to offer, with commas; default: all that load")] = None
     default_plugin: Annotated[
         str | None, Field(description="for requests that name none; default: dip, else clip, else stand")
     ] = None

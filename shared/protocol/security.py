@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import ipaddress
+import os
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -48,6 +49,18 @@ def load_curve_keys(folder: Path, side: str) -> CurveKeys:
     if secret is None:
         raise InvalidInputError(f"{folder}/{side}.key_secret holds no secret key", field="curve_dir")
     return CurveKeys(public.decode(), secret.decode(), (peer.decode(),))
+
+
+def curve_dir_from_environment() -> Path | None:
+    """The folder of CURVE keys that services and clients of this machine share, MOTIONLOOP_CURVE_DIR."""
+    name = os.environ.get("MOTIONLOOP_CURVE_DIR")
+    return Path(name) if name else None
+
+
+def client_curve_keys(folder: Path | None = None) -> CurveKeys | None:
+    """The client's keys from `folder`, else from MOTIONLOOP_CURVE_DIR, else None."""
+    folder = folder or curve_dir_from_environment()
+    return load_curve_keys(folder, "client") if folder else None
 
 
 def create_curve_keys(folder: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 REPO = Path(__file__).resolve().parent.parent.parent
 BLOCKED = (
     "torch", "mujoco", "fastapi", "starlette", "uvicorn", "scipy", "psutil", "prometheus_client", "safetensors",
-    "tokenizers", "transformers", "matplotlib", "PIL", "imageio_ffmpeg", "tensorboard",
+    "tokenizers", "transformers", "matplotlib", "pydantic_settings", "PIL", "imageio_ffmpeg", "tensorboard",
 )  # fmt: skip
 WITHOUT = f"""
 import sys

@@ -124,7 +124,7 @@ def test_a_swap_goes_only_where_the_list_says(guarded: Stack) -> None:
 
 def test_where_a_server_may_swap_to() -> None:
     def may(**given: Any) -> bool:
-        return load_settings(OrchestratorSettings, {"token": ADMIN, **given}, {}).may_swap_to("tcp://10.0.0.7:5601")
+        return load_settings(OrchestratorSettings, {"token": ADMIN, **given}).may_swap_to("tcp://10.0.0.7:5601")
 
     assert may()
     assert not may(host="0.0.0.0")
@@ -145,7 +145,7 @@ def test_a_large_body_is_refused_with_and_without_its_length(guarded: Stack) -> 
 
 
 def test_too_many_requests_are_told_when_to_come_again_and_probes_are_answered() -> None:
-    app = create_app(load_settings(OrchestratorSettings, {"max_rate_per_s": "0.01"}, {}))
+    app = create_app(load_settings(OrchestratorSettings, {"max_rate_per_s": "0.01"}))
     client = TestClient(app, base_url="http://localhost")  # not entered: no services are needed
     assert client.get("/v1/nothing").status_code == 404
     reply = client.get("/v1/nothing")
@@ -221,7 +221,7 @@ def test_headers_of_the_api_the_page_and_the_interactive_documentation(guarded: 
 
 
 def test_a_bug_says_nothing_of_the_inside() -> None:
-    app = create_app(load_settings(OrchestratorSettings, {}, {}))
+    app = create_app(load_settings(OrchestratorSettings))
 
     @app.get("/bug")
     async def bug() -> None:
@@ -238,5 +238,5 @@ def test_a_bug_says_nothing_of_the_inside() -> None:
 )
 def test_tokens_that_guard_nothing_are_refused(given: dict[str, str], words: str) -> None:
     with pytest.raises(InvalidInputError) as caught:
-        load_settings(OrchestratorSettings, {"token": ADMIN, **given}, {})
+        load_settings(OrchestratorSettings, {"token": ADMIN, **given})
     assert words in caught.value.message

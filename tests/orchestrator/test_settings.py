@@ -23,16 +23,22 @@ from shared.settings import load_settings
         ({"MOTIONLOOP_PORT": "99999"}, "65535"),
     ],
 )
-def test_insecure_or_wrong_settings_are_refused(environment: dict[str, str], words: str) -> None:
+def test_insecure_or_wrong_settings_are_refused(
+    monkeypatch: pytest.MonkeyPatch, environment: dict[str, str], words: str
+) -> None:
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
     with pytest.raises(InvalidInputError) as caught:
-        load_settings(OrchestratorSettings, {}, environment)
+        load_settings(OrchestratorSettings)
     assert words in f"{caught.value.message} {caught.value.allowed}"
 
 
-def test_loopback_needs_no_token_and_others_do() -> None:
-    assert load_settings(OrchestratorSettings, {}, {}).token is None
-    open_to_all = {"MOTIONLOOP_HOST": "0.0.0.0", "MOTIONLOOP_TOKEN": "0123456789abcdef"}
-    assert load_settings(OrchestratorSettings, {}, open_to_all).host == "0.0.0.0"
+def test_loopback_needs_no_token_and_others_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MOTIONLOOP_TOKEN", "")  # as compose files set what is not given: it counts as not set
+    assert load_settings(OrchestratorSettings).token is None
+    monkeypatch.setenv("MOTIONLOOP_HOST", "0.0.0.0")
+    monkeypatch.setenv("MOTIONLOOP_TOKEN", "0123456789abcdef")
+    assert load_settings(OrchestratorSettings).host == "0.0.0.0"
 
 
 def test_the_process_says_why_it_does_not_start() -> None:
@@ -44,7 +50,7 @@ def test_the_process_says_why_it_does_not_start() -> None:
 
 
 def test_without_the_token_nothing_but_health_answers() -> None:
-    settings = load_settings(OrchestratorSettings, {"token": "0123456789abcdef"}, {})
+    settings = load_settings(OrchestratorSettings, {"token": "0123456789abcdef"})
     client = TestClient(create_app(settings))  # not entered: no services are needed to be refused
     for headers in ({}, {"Authorization": "Bearer 0123456789abcdeX"}):
         reply = client.get("/v1/services", headers=headers)

@@ -34,7 +34,7 @@ def test_loopback(endpoint: str, local: bool) -> None:
 
 def test_listening_beyond_the_machine_needs_keys() -> None:
     with pytest.raises(InvalidInputError) as caught:
-        load_settings(ServiceSettings, {"endpoint": "tcp://0.0.0.0:5601"}, {})
+        load_settings(ServiceSettings, {"endpoint": "tcp://0.0.0.0:5601"})
     assert caught.value.field == "endpoint"
     assert "MOTIONLOOP_CURVE_DIR" in (caught.value.allowed or "")
     check_bind("tcp://0.0.0.0:5601", CurveKeys("a" * 40, "b" * 40, ()))
@@ -75,12 +75,3 @@ def test_missing_keys_are_named(tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError) as caught:
         load_curve_keys(tmp_path, "server")
     assert caught.value.field == "curve_dir"
-
-
-def test_settings_come_from_arguments_then_environment_then_defaults() -> None:
-    environment = {"MOTIONLOOP_ENDPOINT": "tcp://127.0.0.1:1", "MOTIONLOOP_WORKERS": "7"}
-    settings = load_settings(ServiceSettings, {"endpoint": "tcp://127.0.0.1:2", "workers": None}, environment)
-    assert (settings.endpoint, settings.workers, settings.max_pending) == ("tcp://127.0.0.1:2", 7, 256)
-    with pytest.raises(InvalidInputError) as caught:
-        load_settings(ServiceSettings, {"endpoint": "tcp://127.0.0.1:2", "workers": "0"}, {})
-    assert caught.value.field == "workers"

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from pydantic import Field, field_validator, model_validator
+from pydantic_settings import SettingsConfigDict
 
 from shared.protocol.security import check_bind
-from shared.settings import ServiceSettings
+from shared.settings import Names, ServiceSettings
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -38,11 +39,11 @@ class TrackerServiceSettings(ServiceSettings):
         video_ticks: the longest range of one video.
     """
 
-    env_prefix: ClassVar[str] = "MOTIONLOOP_TRACKER_"
+    model_config = SettingsConfigDict(env_prefix="MOTIONLOOP_TRACKER_")
 
     endpoint: str = "tcp://127.0.0.1:5602"
     state_endpoint: str = "tcp://127.0.0.1:0"
-    trackers: tuple[str, ...] = ()
+    trackers: Names = ()
     default_tracker: str = ""
     weights: Path | None = None
     scenes: Path | None = None
