@@ -28,10 +28,15 @@ class Agenda:
         tasks: as given; a task keeps its index whatever the order is.
         order: `random` shuffles them by the seed.
         seed: of the episode.
+
+    Attributes:
+        longest_s: simulated time for all: theirs, and room for settling, a reset and an outage of the planner after
+            each.
     """
 
     def __init__(self, tasks: Sequence[TaskSpec], order: Literal["sequence", "random"], seed: int):
         self.tasks: list[TaskSpec] = list(tasks)
+        self.longest_s = 120.0 + sum(_longest_s(task) for task in self.tasks)
         self._seed = seed
         self._to_come = list(range(len(self.tasks)))
         self._attempts: dict[int, int] = {}
@@ -63,10 +68,10 @@ class Agenda:
         if len(self.tasks) >= MAX_TASKS:
             raise ConflictError(f"it has {len(self.tasks)} tasks already", field="task", allowed=f"{MAX_TASKS}")
         self.tasks.append(task)
+        self.longest_s += _longest_s(task)
         self._to_come.insert(place, len(self.tasks) - 1)
         return len(self.tasks) - 1
 
-    @property
-    def longest_s(self) -> float:
-        """Simulated time for all: theirs, and room for settling, a reset and an outage of the planner after each."""
-        return sum((make_task(task, 0).time_limit_s + 10.0) * (1 + task.retries) for task in self.tasks) + 120.0
+
+def _longest_s(task: TaskSpec) -> float:
+    return (make_task(task, 0).time_limit_s + 10.0) * (1 + task.retries)

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from shared.console import EXPECTED, as_ours
 from shared.data.corpus import FORMAT, FPS, ClipInfo, write_corpus
 from shared.data.label import rotation_steps_rad
 from shared.data.own import own_pieces, own_takes
@@ -25,7 +26,7 @@ from shared.data.texts import clean, swap_sides
 from shared.errors import InvalidInputError
 from shared.motion.body import Array, mirror
 from shared.motion.io.options import ReadOptions
-from shared.motion.io.raw import RawMotion
+from shared.motion.io.raw import LeftOutError, RawMotion
 from shared.motion.limbs import bends_rad
 
 Progress = Callable[[str, float], None]
@@ -60,7 +61,9 @@ def unpacked(folder: Path, stack: ExitStack) -> Path:
     archives = sorted(folder.glob("*.tar.xz"))
     if not archives:
         return folder
-    scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="motionloop-mocap-")))
+    # Loose files are named after their folder, so it has to be called as the one of the archives.
+    scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="motionloop-mocap-"))) / folder.resolve().name
+    scratch.mkdir(exist_ok=True)
     for archive in archives:
         try:
             with tarfile.open(archive) as tar:
@@ -113,8 +116,10 @@ def recorded_pieces(takes: Sequence[Take], report: Report, progress: Progress) -
         for take in groups[key]:
             try:
                 raws.append((take, take.read()))
-            except InvalidInputError as error:
+            except LeftOutError as error:
                 report.drop(take.name, error.message)
+            except EXPECTED as error:
+                report.fail(take.name, as_ours(error).message)
         if not raws:
             continue
         calibration = calibrate([raw for _, raw in raws])
@@ -263,13 +268,14 @@ def build(
         folder = unpacked(Path(mocap_dir), stack)
         progress("hash", 0.0)
         digest = hash_inputs(folder)
-        takes = list_takes(folder)
-        # Loose recordings may lie beside the archives.
-        places = dict.fromkeys((folder, Path(mocap_dir)))
+        # Recordings may lie beside the archives; of one in both, the archive's stays.
+        places = dict.fromkeys((Path(mocap_dir), folder))
+        takes = list({take.name: take for place in places for take in list_takes(place, folder / "text")}.values())
         own = [take for place in places for take in own_takes(place, options or ReadOptions())]
         if not takes and not own:
             raise InvalidInputError(f"no BVH, AMC or npz below {mocap_dir}", field="mocap_dir")
-        pieces = recorded_pieces(takes, report, progress) + own_pieces(own, report, progress)
+        pieces = recorded_pieces(takes, report, progress)
+        pieces += own_pieces(own, report, lambda what, share: progress(what, 0.6 if takes else 0.6 * share))
     for line in report.lines:
         say(line)
     if not pieces:
@@ -301,20 +307,20 @@ def build(
     }
     infos = [
         ClipInfo(
-            p.name,
-            p.take,
-            p.source,
-            p.label.behaviour,
-            p.label.action,
-            p.texts,
-            p.split,
-            p.made,
-            m,
-            0,
-            0,
-            w,
-            p.seat,
-            p.strike,
+            name=p.name,
+            take=p.take,
+            source=p.source,
+            behaviour=p.label.behaviour,
+            action=p.label.action,
+            texts=p.texts,
+            split=p.split,
+            made=p.made,
+            mirrored=m,
+            start=0,
+            frames=0,
+            weight=w,
+            seat=p.seat,
+            strike=p.strike,
         )
         for (p, m), w in zip(clips, share, strict=True)
     ]

@@ -44,8 +44,10 @@ def cached_corpus(progress: Progress = quiet) -> Corpus:
 
 
 def _code_version() -> str:
+    """Of what makes motion: this package, and `shared.motion` that it stands on."""
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*")):
+    here = Path(__file__).parent
+    for path in sorted([*here.rglob("*"), *(here.parent / "motion").rglob("*")]):
         if path.suffix in (".py", ".yaml"):
             digest.update(path.read_bytes())
     return digest.hexdigest()[:12]

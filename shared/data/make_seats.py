@@ -16,7 +16,7 @@ from shared.data.props import PELVIS_OVER_SEAT_M, Seat
 from shared.data.splice import local_rotations
 from shared.motion.body import SIDES, SOLE_UNDER_ANKLE_M, Array, J, heading_rad
 from shared.motion.resampling import resample
-from shared.motion.rotations import matrix_about_z, normalize
+from shared.motion.rotations import matrix_about_z, normalize, wrap_angle
 from shared.motion.skeleton import CANONICAL
 
 FPS = 30.0
@@ -62,7 +62,7 @@ def descents(p: Array, rising: bool) -> list[Descent]:
         c, s = np.cos(yaw), np.sin(yaw)
         ahead = gaussian_filter1d(q[:, 0, :2] @ np.array([c, s]), 1.5, mode="nearest")
         drop, way = float(z[start] - z[stop - 1]), float(ahead[0] - ahead[-1])
-        turned = float(np.abs(heading_rad(q) - yaw).max())
+        turned = float(np.abs(wrap_angle(heading_rad(q) - yaw)).max())
         if drop < 0.12 or way < 0.08 or turned > 0.7 or len(q) < 15 or len(q) > 90:
             continue
         local = local_rotations(q)

@@ -60,7 +60,7 @@ class Loaded:
 
     def as_dict(self) -> dict[str, Any]:
         return {
-            "frames": len(self.clip),
+            "frames": self.frames,
             "fps": self.fps,
             "seconds": round(self.seconds, 3),
             "up": self.up,

@@ -187,9 +187,12 @@ def is_known(folder: Path, path: Path) -> bool:
     return source in _RULES or (source in _BY_TRIAL and re.fullmatch(r"\d+_\d+", path.stem) is not None)
 
 
-def list_takes(folder: Path) -> list[Take]:
-    """All takes of the known collections below an unpacked mocap folder, in a stable order."""
-    index, kit = _cmu_texts(folder / "text")
+def list_takes(folder: Path, texts_of: Path | None = None) -> list[Take]:
+    """All takes of the known collections below an unpacked mocap folder, in a stable order.
+
+    `texts_of`: the folder with what is said of them, else `text` below it.
+    """
+    index, kit = _cmu_texts(texts_of or folder / "text")
     takes = []
     for path in sorted(folder.rglob("*")):
         if path.suffix not in (".bvh", ".amc", ".npz") or not is_known(folder, path):

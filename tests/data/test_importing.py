@@ -330,6 +330,7 @@ def test_a_row_a_file_then_a_summary_and_the_json(recordings: Path, tmp_path: Pa
     assert (result["imported"], result["left_out"], result["refused"]) == (1, 2, 2)
     good = result["files"][1]
     assert (good["fps"], good["seconds"], good["up"], good["unit_m"], good["skeleton"]) == (30, 3, "y", 0.01, "HumanIK")
+    assert good["frames"] == 90
     assert good["travelled_m"] == pytest.approx(3.46, abs=0.02) and good["warnings"] == []
 
 

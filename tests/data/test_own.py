@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tarfile
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from orchestrator.cli import main as cli
+from shared.data.build import build
 from shared.data.corpus import Corpus
 from shared.data.label import Label
 from shared.data.own import behaviour_named, own_pieces, own_takes, seen
@@ -113,6 +115,19 @@ def test_bad_files_are_reported_and_the_others_built(tmp_path: Path) -> None:
     assert "warning: walks/e_shape: left out: e_shape.npz: no motion in it" in shown.stdout
     assert shown.stdout.splitlines()[-1].endswith("4 files could not be read")
     assert any(c.take == "walks/a" for c in Corpus.load(tmp_path / "corpus").clips)
+
+
+def test_recordings_beside_archives_are_built_and_named_after_their_folder(tmp_path: Path) -> None:
+    mine = tmp_path / "mine"
+    (mine / "deepmimic").mkdir(parents=True)
+    (mine / "deepmimic" / "walk.bvh").write_text(plain())
+    (mine / "deepmimic" / "run.bvh").write_text("")
+    (tmp_path / "walk.bvh").write_text(plain())
+    with tarfile.open(mine / "more.tar.xz", "w:xz") as tar:
+        tar.add(tmp_path / "walk.bvh", arcname="walk.bvh")
+    manifest = build(mine, tmp_path / "corpus", amount=0.0)
+    assert [row["clip"] for row in manifest["errors"]] == ["deepmimic/run"]
+    assert {"deepmimic/walk", "mine/walk"} <= {c.take for c in Corpus.load(tmp_path / "corpus").clips}
 
 
 def test_a_folder_without_a_usable_file_is_one_sentence(tmp_path: Path) -> None:

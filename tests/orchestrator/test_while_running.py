@@ -40,6 +40,7 @@ def test_an_agenda_by_hand() -> None:
     assert agenda.insert(HaltSpec(name="last"), 99) == 3
     assert agenda.insert(HaltSpec(name="second"), 1) == 4
     assert [agenda.take()[0] for _ in range(len(agenda))] == [2, 4, 1, 3]
+    assert agenda.longest_s == Agenda(agenda.tasks, "sequence", 1).longest_s
     shuffled = [Agenda(halts(8), "random", seed) for seed in (1, 1, 2)]
     orders = [[agenda.take()[0] for _ in range(8)] for agenda in shuffled]
     assert orders[0] == orders[1] != orders[2]
