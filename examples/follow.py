@@ -27,9 +27,9 @@ async def main(url: str | None, seconds: float = 15.0) -> None:
     ):
         await leader.say("a person walks forward", target=(4.0, 1.0))
         task = asyncio.create_task(follow(leader, follower))
-        start = (await leader.state()).tick
+        start = (await leader.state()).time_s
         async for state in leader.stream():
-            if state.tick > start + 30 * seconds:
+            if state.time_s > start + seconds:
                 break
         task.cancel()
         for name, character in (("leader", leader), ("follower", follower)):

@@ -1,7 +1,8 @@
-"""The repository's own promises: light client, one settings of rates, no recorded motion, licence and package data."""
+"""The repository's own promises: light client, rates named once, short files, no recorded motion, licence."""
 
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
 import tomllib
@@ -66,3 +67,24 @@ def test_the_licence_is_apache_and_the_notice_names_every_source() -> None:
     notice = (REPO / "NOTICE").read_text()
     for name in ("mocap.cs.cmu.edu", "EIA-0196217", "HDM05", "CC BY-SA 3.0", "DeepMimic", "ASAP", "MiniLM"):
         assert name in notice
+
+
+def test_no_file_is_longer_than_400_lines() -> None:
+    sources = [path for path in _tracked() if path.suffix in {".py", ".js", ".css"}]
+    assert len(sources) > 100
+    long = {str(path.relative_to(REPO)): n for path in sources if (n := len(path.read_text().splitlines())) > 400}
+    assert not long
+
+
+def test_rates_are_named_in_one_module() -> None:
+    """`FPS = 30` anywhere else would go its own way when the rate is changed."""
+    own = {"shared/motion/io/options.py: ASSUMED_HZ", "orchestrator/cli/watch.py: DRAWN_HZ"}
+    found = set()
+    for path in _tracked():
+        name = str(path.relative_to(REPO))
+        if path.suffix == ".py" and name.startswith(PACKAGES) and name != "shared/protocol/rates.py":
+            for node in ast.parse(path.read_text(encoding="utf-8")).body:
+                if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant):
+                    targets = [target.id for target in node.targets if isinstance(target, ast.Name)]
+                    found |= {f"{name}: {target}" for target in targets if target.endswith(("FPS", "_HZ"))}
+    assert found == own

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.motion.features import body_heading
+from shared.motion.heading import body_heading
 from shared.motion.ik import clip_from_positions
 from shared.motion.rotations import matrix_about_z, wrap_angle
 from shared.motion.skeleton import CANONICAL

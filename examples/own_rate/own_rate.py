@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from shared.motion.features import body_heading
+from shared.motion.heading import body_heading
 from shared.motion.ik import clip_from_positions
 from shared.motion.rotations import matrix_about_z, wrap_angle
 from shared.motion.skeleton import CANONICAL

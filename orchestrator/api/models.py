@@ -11,12 +11,12 @@ from orchestrator.core.character import CharacterSession
 from orchestrator.core.command import Command
 from orchestrator.core.episode import EpisodeOutcome, EpisodeSpec
 from orchestrator.core.scenes import name_of
+from shared.motion.heading import hips_heading
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.base import Name
 from shared.protocol.messages import StateFrame
 from shared.protocol.rest import CharacterFields, CommandReading, EpisodeFields, StateFields
 from shared.tasks.factory import TaskSpec
-from shared.tasks.interface import heading_from_positions
 
 MAX_IMPULSE_NS = 500.0
 Newtonseconds = Annotated[FiniteFloat, Field(ge=-MAX_IMPULSE_NS, le=MAX_IMPULSE_NS)]
@@ -37,7 +37,7 @@ class StateBody(StateFields):
             positions_m=positions.round(4).tolist(),
             rotations_wxyz=np.asarray(state.body_quat_w, dtype=np.float64).round(5).tolist(),
             pelvis_m=positions[0].round(4).tolist(),
-            heading_rad=round(float(heading_from_positions(positions)), 4),
+            heading_rad=round(float(hips_heading(positions)), 4),
             contacts=[bool(c) for c in np.asarray(state.contacts)],
             tracking_error_m=round(state.tracking_error_m, 5),
             fallen=state.fallen,

@@ -17,6 +17,7 @@ from orchestrator.client.calls import Format
 from orchestrator.core.supervise import Stack, StackOptions
 from shared.errors import MotionLoopError
 from shared.protocol.messages import Pacing
+from shared.protocol.rates import TICK_HZ
 
 TASKS: list[dict[str, Any]] = [
     {"type": "reach", "name": "walk to a point", "relative_m": [2.0, 0.6]},
@@ -92,7 +93,7 @@ def _result(episode: EpisodeInfo, services: ServicesInfo, seed: int, wall_s: flo
             for task in episode.results
         ],
         "services": {"planner": services.planner.spec, "tracker": services.tracker.spec},
-        "simulated_s": round((episode.tick or 0) / 30, 2),
+        "simulated_s": round((episode.tick or 0) / TICK_HZ, 2),
         "wall_s": round(wall_s, 1),
         **provenance(seed),
     }

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from orchestrator.client import EpisodeInfo, Event
+from shared.protocol.rates import TICK_HZ
 from shared.protocol.rest import CommandReading
 
 
@@ -29,7 +30,7 @@ class Follower:
     def take(self, event: Event) -> None:
         """Show one event."""
         data = event.data
-        seconds = event.tick / 30
+        seconds = event.tick / TICK_HZ
         if event.type == "task_begin":
             self._task = str(data["label"])
             self._console.print(f"[dim]{seconds:6.1f} s[/dim]  {self._task}")

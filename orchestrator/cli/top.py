@@ -18,6 +18,7 @@ from orchestrator.cli.common import JsonFile, Token, Url, client, console
 from orchestrator.client import CharacterInfo, Client, EpisodeInfo
 from orchestrator.client.calls import DEFAULT_URL
 from shared.console import check_output_file
+from shared.protocol.rates import TICK_HZ
 from shared.protocol.rest import ServiceHealth, ServicesHealth
 
 SHOWN = 40
@@ -103,7 +104,7 @@ def _characters(found: list[CharacterInfo]) -> Table:
     out = _table(f"characters: {len(found)}", *columns)
     for info in found[:SHOWN]:
         state = info.state
-        ends = f"{(state.plan_end_tick - state.tick) / 30:+.1f} s"
+        ends = f"{(state.plan_end_tick - state.tick) / TICK_HZ:+.1f} s"
         out.add_row(
             info.id[:8], _state("fallen" if state.fallen else info.status), info.pacing,
             str(info.command.get("text") or "-")[:32], f"{state.time_s:.1f} s",
@@ -116,7 +117,7 @@ def _episodes(found: list[EpisodeInfo]) -> Table:
     out = _table(f"running episodes: {len(found)}", "id", "phase", "time", "tasks done")
     for info in found:
         out.add_row(
-            info.id[:8], _state(info.phase or info.status), f"{(info.tick or 0) / 30:.1f} s",
+            info.id[:8], _state(info.phase or info.status), f"{(info.tick or 0) / TICK_HZ:.1f} s",
             f"{len(info.results)} of {len(info.spec.get('tasks', []))}",
         )  # fmt: skip
     return out

@@ -18,6 +18,7 @@ from rich.text import Text
 from orchestrator.cli.braille import side_view, top_view
 from orchestrator.client import Character, CharacterInfo, Event, PlanGhost, State
 from shared.errors import DeadlineError
+from shared.protocol.rates import TICK_HZ
 
 DRAWN_HZ = 10.0
 LOOK_S = 1.0
@@ -48,7 +49,7 @@ class View:
             if message.type == "plan":
                 self._plan_ms.append(float(message.data.get("total_ms", 0.0)))
             else:
-                self._said.append(f"{message.tick / 30:7.1f} s  {message.type} {_short(message.data)}")
+                self._said.append(f"{message.tick / TICK_HZ:7.1f} s  {message.type} {_short(message.data)}")
 
     def render(self, columns: int = 120) -> Group:
         """The whole view, for a terminal of so many columns."""
@@ -85,7 +86,7 @@ class View:
             ("heading", f"{np.degrees(state.heading_rad):+.0f} deg"),
             ("tracking error", f"{1000 * state.tracking_error_m:.0f} mm"),
             ("plan latency", self._latency()),
-            ("plan ends in", f"{(state.plan_end_tick - state.tick) / 30:+.1f} s"),
+            ("plan ends in", f"{(state.plan_end_tick - state.tick) / TICK_HZ:+.1f} s"),
             ("missed ticks", str(state.missed_ticks)),
             ("planner, tracker", f"{info.planner or 'default'}, {state.tracker}"),
         ]
@@ -99,7 +100,7 @@ class View:
             return self.info.pacing
         tick, since = self._first
         seconds = time.monotonic() - since
-        return "realtime" if seconds < 1.0 else f"realtime x {(self.state.tick - tick) / 30 / seconds:.2f}"
+        return "realtime" if seconds < 1.0 else f"realtime x {(self.state.tick - tick) / TICK_HZ / seconds:.2f}"
 
     def _latency(self) -> str:
         if not self._plan_ms:

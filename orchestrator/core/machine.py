@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from shared.errors import ConflictError
+from shared.protocol.rates import TICK_HZ
 
 
 class Phase(StrEnum):
@@ -141,7 +142,7 @@ class MachineState:
 
 
 def transition(
-    state: MachineState, signal: Signal, tick: int, states: Mapping[Phase, StateSpec] = STATES, tick_hz: int = 30
+    state: MachineState, signal: Signal, tick: int, states: Mapping[Phase, StateSpec] = STATES, tick_hz: int = TICK_HZ
 ) -> tuple[MachineState, tuple[Action, ...]]:
     """The next state and what to do. Raises ConflictError for a signal that the phase does not know."""
     if state.over:
@@ -164,7 +165,7 @@ def _enter(phase: Phase, tick: int, states: Mapping[Phase, StateSpec], tick_hz: 
     return MachineState(phase, tick, None if timeout_s is None else round(timeout_s * tick_hz))
 
 
-def with_limit(state: MachineState, limit_s: float, tick_hz: int = 30) -> MachineState:
+def with_limit(state: MachineState, limit_s: float, tick_hz: int = TICK_HZ) -> MachineState:
     """The same state under a task's own time limit."""
     return replace(state, timeout_ticks=round(limit_s * tick_hz))
 

@@ -22,6 +22,7 @@ from shared.errors import ConflictError, InvalidInputError, MotionLoopError, Not
 from shared.motion.characters import build
 from shared.protocol.control import Ok
 from shared.protocol.messages import CloseCharacter, Render, Video
+from shared.protocol.rates import TICK_HZ
 from shared.protocol.rest import Event
 from shared.protocol.security import CurveKeys
 from shared.protocol.transport import Kind
@@ -296,7 +297,7 @@ class Orchestrator:
         while live.recorded_to < stop_tick:
             stop = min(live.recorded_to + PART_TICKS, stop_tick)
             try:
-                part = await runner.session.loop.ticks(live.recorded_to, stop, 30, reference=True)
+                part = await runner.session.loop.ticks(live.recorded_to, stop, TICK_HZ, reference=True)
                 recording = Recording.of(part, runner.spec.character, runner.session.scene)
                 await asyncio.to_thread(self.files.add_part, runner.episode_id, recording)
             except (MotionLoopError, OSError) as error:

@@ -20,6 +20,7 @@ from shared.plugins.conformance import sample_request
 from shared.plugins.interfaces import PlannerSpec
 from shared.protocol.control import Ok
 from shared.protocol.messages import (
+    PLANNER_FPS,
     TICK_HZ,
     CloseCharacter,
     CreateCharacter,
@@ -189,7 +190,7 @@ async def bench_transport(services: Services, repeats: int = 300) -> dict[str, A
     result = {
         "observe_ms": await measure(lambda: tracker.ask(StateFrame, Observe(), character)),
         "prefix_ms": await measure(
-            lambda: tracker.ask(TickRange, GetTicks(start_tick=-30, stop_tick=1, rate_hz=20), character)
+            lambda: tracker.ask(TickRange, GetTicks(start_tick=-TICK_HZ, stop_tick=1, rate_hz=PLANNER_FPS), character)
         ),
         "track_ms": await measure(lambda: tracker.ask(TrackReply, track, character)),
     }

@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from planner_service.builtin.library import ClipLibrary, LibraryClip, pose_features
 from planner_service.builtin.stand import settle
-from shared.motion.features import body_heading, rotate_z
+from shared.motion.features import rotate_z
+from shared.motion.heading import body_heading, heading_of
 from shared.motion.ik import clip_from_positions
 from shared.motion.metrics import sole_points
 from shared.motion.resampling import finite_velocity
@@ -113,8 +114,8 @@ def _turn(positions: Array, way: Array | None, heading: float | None) -> float:
     if way is not None:
         travel = positions[-1, 0, :2] - positions[0, 0, :2]
         facing = float(body_heading(positions[0]))
-        course = float(np.arctan2(travel[1], travel[0])) if np.linalg.norm(travel) > 0.3 else facing
-        return float(wrap_angle(np.arctan2(way[1], way[0]) - course))
+        course = float(heading_of(travel)) if np.linalg.norm(travel) > 0.3 else facing
+        return float(wrap_angle(heading_of(way) - course))
     if heading is not None:
         return float(wrap_angle(heading - float(body_heading(positions[-1]))))
     return 0.0

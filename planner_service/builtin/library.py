@@ -19,7 +19,8 @@ import numpy.typing as npt
 
 from shared.data.corpus import Corpus
 from shared.errors import InvalidInputError, MotionLoopError
-from shared.motion.features import body_heading, rotate_z
+from shared.motion.features import rotate_z
+from shared.motion.heading import body_heading
 from shared.motion.resampling import finite_velocity, resample
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import PLANNER_FPS
@@ -163,8 +164,9 @@ def _entries(folder: Path) -> Iterator[tuple[str, tuple[str, ...], Array, float]
 def _read_bvh(path: Path) -> tuple[Array, float]:
     """Canonical positions and their rate. Imports here: only a folder with BVH files needs the retargeting."""
     from shared.data.grounding import ground
-    from shared.data.retarget import FPS, retarget
+    from shared.data.retarget import retarget
     from shared.motion.io.bvh import read_bvh
+    from shared.protocol.rates import CORPUS_FPS as FPS
 
     positions, _ = ground(retarget(read_bvh(path)), FPS)
     return positions, FPS

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.motion.body import SIDES
-from shared.motion.features import body_heading
+from shared.motion.heading import body_heading
 from shared.motion.ik import clip_from_positions, standing_pose
 from shared.motion.kinematics import forward_kinematics
 from shared.motion.limbs import solve_leg

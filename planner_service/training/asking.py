@@ -10,8 +10,9 @@ from torch import Tensor
 from planner_service.dip.conditions import KeyframeBatch, TargetBatch, VelocityBatch, late_velocity
 from planner_service.dip.config import DipConfig
 from planner_service.dip.features_torch import plan_to_positions
-from planner_service.training.losses import FPS, sample_targets
+from planner_service.training.losses import sample_targets
 from shared.motion.skeleton import CANONICAL
+from shared.protocol.rates import PLANNER_FPS as FPS
 
 ALONE_SHARE = 0.6
 """Of the windows with keyframes or a velocity, those that have no target and no heading beside them."""

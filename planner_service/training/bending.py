@@ -9,10 +9,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from planner_service.training.windows import FPS, Features
+from planner_service.training.windows import Features
 from shared.motion.features import CONTACTS, JOINT_POSITIONS, JOINT_VELOCITIES, ROOT_VELOCITY
 from shared.motion.metrics import FOOT_JOINTS
 from shared.motion.skeleton import CANONICAL
+from shared.protocol.rates import PLANNER_FPS as FPS
 
 Array = npt.NDArray[np.float64]
 

@@ -18,11 +18,12 @@ from planner_service.training.bending import bend, random_turns
 from planner_service.training.disturbance import disturb
 from planner_service.training.evidence import deed_ahead, plans_showing
 from planner_service.training.joins import MAX_SPEED_GAP_MPS, JoinFinder, blend_frames, join, speed_gap_mps
-from planner_service.training.windows import FPS, Features, repeat_first_rates, window_positions
+from planner_service.training.windows import Features, repeat_first_rates, window_positions
 from shared.data.corpus import Corpus
 from shared.errors import InvalidInputError
 from shared.motion.features import global_to_features
 from shared.motion.resampling import resample
+from shared.protocol.rates import PLANNER_FPS as FPS
 
 Index = npt.NDArray[np.int64]
 

@@ -25,10 +25,10 @@ from planner_service.dip.weights import SHIPPED
 from planner_service.training.dataset import Material, WindowSampler, load_material
 from planner_service.training.evaluate_conditions import conditions
 from planner_service.training.rollout import Rollout
-from planner_service.training.windows import FPS, window_positions
+from planner_service.training.windows import window_positions
 from shared.console import errors_for_people
 from shared.data.corpus import Corpus
-from shared.motion.features import body_heading
+from shared.motion.heading import body_heading
 from shared.motion.ik import standing_clip
 from shared.motion.metrics import (
     floating_mm,
@@ -42,6 +42,7 @@ from shared.motion.rotations import wrap_angle
 from shared.motion.skeleton import CANONICAL
 from shared.plugins.interfaces import Planner
 from shared.protocol.messages import HeadingTarget, JointTarget, PlanRequest
+from shared.protocol.rates import PLANNER_FPS as FPS
 from shared.tasks.builtin import ReachTask
 from shared.tasks.interface import BodyView, PlanGoal
 from shared.tasks.obey import kind_of, obeyed

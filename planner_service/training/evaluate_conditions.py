@@ -6,10 +6,11 @@ import numpy as np
 import numpy.typing as npt
 
 from planner_service.training.dataset import Material, WindowSampler
-from planner_service.training.windows import FPS, window_positions
+from planner_service.training.windows import window_positions
 from shared.motion.skeleton import CANONICAL
 from shared.plugins.interfaces import Planner
 from shared.protocol.messages import TICK_HZ, Plan, PlanRequest
+from shared.protocol.rates import PLANNER_FPS as FPS
 
 Array = npt.NDArray[np.float64]
 

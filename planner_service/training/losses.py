@@ -34,8 +34,7 @@ from shared.motion.features import (
 )
 from shared.motion.metrics import FOOT_JOINTS
 from shared.motion.skeleton import CANONICAL
-
-FPS = 20
+from shared.protocol.rates import PLANNER_FPS as FPS
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from planner_service.service.settings import DEFAULT_LIBRARY
 from planner_service.training.rollout import Rollout
 from shared.motion.ik import standing_clip
 from shared.protocol.messages import PLANNER_FPS
+from shared.protocol.rates import TICK_HZ
 from shared.tasks.interface import PlanGoal
 from shared.tasks.obey import obeyed
 
@@ -41,7 +42,7 @@ def record(planner: DipPlanner, folder: Path, seed: int, tries: int, seconds: in
     names = [name for name in SENTENCES for _ in range(tries)]
     start = standing_clip(prefix, PLANNER_FPS).positions_w_m
     rollout = Rollout(planner, np.stack([start] * len(names)), seed)
-    while rollout.tick < seconds * 30:
+    while rollout.tick < seconds * TICK_HZ:
         rollout.step(lambda body, view: PlanGoal(text=SENTENCES[names[body]][0]))
     kept = dict.fromkeys(SENTENCES, 0)
     for body, name in enumerate(names):

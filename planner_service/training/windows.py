@@ -22,8 +22,8 @@ from shared.motion.ik import rotations_from_positions
 from shared.motion.metrics import CONTACT_HEIGHT_M, CONTACT_SPEED_MPS, FOOT_JOINTS, sole_points
 from shared.motion.rotations import matrix_to_6d
 from shared.motion.skeleton import CANONICAL
+from shared.protocol.rates import PLANNER_FPS as FPS
 
-FPS = 20
 Array = npt.NDArray[np.float64]
 Features = npt.NDArray[np.float32]
 

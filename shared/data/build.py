@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from shared.console import EXPECTED, as_ours
-from shared.data.corpus import FORMAT, FPS, ClipInfo, write_corpus
+from shared.data.corpus import FORMAT, ClipInfo, write_corpus
 from shared.data.label import rotation_steps_rad
 from shared.data.own import own_pieces, own_takes
 from shared.data.pieces import Piece, Report, at_origin, pieces_of, same_recording
@@ -28,6 +28,7 @@ from shared.motion.body import Array, mirror
 from shared.motion.io.options import ReadOptions
 from shared.motion.io.raw import LeftOutError, RawMotion
 from shared.motion.limbs import bends_rad
+from shared.protocol.rates import CORPUS_FPS as FPS
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share of the whole that is finished, 0 to 1."""

@@ -15,8 +15,8 @@ import numpy.typing as npt
 from shared.data.props import Seat, Strike, seat_from, strike_from
 from shared.errors import InvalidInputError
 from shared.motion.skeleton import CANONICAL
+from shared.protocol.rates import CORPUS_FPS as FPS
 
-FPS = 30.0
 FORMAT = 1
 
 

@@ -23,6 +23,7 @@ from shared.motion.body import (
 )
 from shared.motion.limbs import reach, solve_leg, unlock_arms
 from shared.motion.skeleton import CANONICAL
+from shared.protocol.rates import CORPUS_FPS
 
 _CONTACT_HEIGHT_M = 0.035
 _CONTACT_SPEED_MPS = 0.55
@@ -158,7 +159,7 @@ def lock_feet(p: Array, fps: float) -> Array:
     return np.asarray(out)
 
 
-def ground(p: Array, fps: float = 30.0) -> tuple[Array, Quality]:
+def ground(p: Array, fps: float = CORPUS_FPS) -> tuple[Array, Quality]:
     """Heights fixed, planted feet locked, elbows and knees off their straight position. p: (T, 22, 3)."""
     p, spread = fix_heights(p, fps)
     p = unlock_arms(p)

@@ -10,6 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from shared.motion.body import Array, heading_rad, runs, sole_height, velocity
 from shared.motion.rotations import rotvec_from_matrix, wrap_angle
+from shared.protocol.rates import CORPUS_FPS
 
 STAND_MPS = 0.2
 RUN_MPS = 2.0
@@ -28,7 +29,7 @@ class Label:
     side: str = ""
 
 
-def path_speed(p: Array, fps: float = 30.0) -> Array:
+def path_speed(p: Array, fps: float = CORPUS_FPS) -> Array:
     """(T,) horizontal speed of the pelvis, smoothed over a step."""
     v = velocity(gaussian_filter1d(p[:, 0, :2], 6.0, axis=0, mode="nearest"), fps)
     return np.asarray(np.linalg.norm(v, axis=-1))
@@ -50,7 +51,7 @@ def side_of(angle: float) -> str:
     return "left" if angle > 0 else "right"
 
 
-def locomotion_label(p: Array, fps: float = 30.0) -> Label:
+def locomotion_label(p: Array, fps: float = CORPUS_FPS) -> Label:
     """Label of a piece of standing, walking, running or turning, by speed, direction and change of heading."""
     speed = path_speed(p, fps)
     mean = float(speed.mean())
@@ -93,7 +94,7 @@ def locomotion_label(p: Array, fps: float = 30.0) -> Label:
     return Label("walk", "walk_fast" if mean > FAST_MPS else "walk")
 
 
-def _sharpest_rad(yaw: Array, fps: float = 30.0, seconds: float = 1.5) -> float:
+def _sharpest_rad(yaw: Array, fps: float = CORPUS_FPS, seconds: float = 1.5) -> float:
     """Largest change of heading within `seconds`."""
     n = min(int(seconds * fps), len(yaw) - 1)
     smooth = gaussian_filter1d(yaw, 4.0, mode="nearest")
@@ -125,7 +126,7 @@ def jump_label(p: Array) -> Label:
 
 
 def segment_locomotion(
-    p: Array, fps: float = 30.0, shortest_s: float = 2.0, longest_s: float = 8.0
+    p: Array, fps: float = CORPUS_FPS, shortest_s: float = 2.0, longest_s: float = 8.0
 ) -> list[tuple[int, int]]:
     """Half-open pieces of a locomotion take, cut where speed class or turning changes, none under `shortest_s`."""
     speed = path_speed(p, fps)

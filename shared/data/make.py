@@ -30,8 +30,8 @@ from shared.data.maker import Maker
 from shared.data.pieces import SHORTEST, Piece, Report
 from shared.data.splice import rebuild
 from shared.motion.body import Array, mirror
+from shared.protocol.rates import CORPUS_FPS as FPS
 
-FPS = 30.0
 _STRAIGHT = ("walk", "walk_fast", "walk_slow")
 _LEAST_RUN_MPS = 1.5
 _JOG_MPS = 2.1

@@ -16,8 +16,8 @@ from shared.data.splice import local_rotations, settle, settle_before
 from shared.motion.body import Array, J, mirror
 from shared.motion.kinematics import forward_kinematics
 from shared.motion.skeleton import CANONICAL
+from shared.protocol.rates import CORPUS_FPS as FPS
 
-FPS = 30.0
 _LYING_M = 0.3
 _STANDING_M = 0.85
 _STILL_FRAMES = 12

@@ -20,8 +20,8 @@ from shared.motion.body import SIDES, Array, J, forward_of, heading_rad, place, 
 from shared.motion.limbs import solve_leg
 from shared.motion.resampling import resample
 from shared.motion.rotations import matrix_from_rotvec
+from shared.protocol.rates import CORPUS_FPS as FPS
 
-FPS = 30.0
 GRAVITY_MPS2 = 9.81
 _LEAST_STRIDE_M = 0.12
 _HALF_CYCLE_FRAMES = 5

@@ -12,8 +12,8 @@ from shared.motion.kinematics import forward_kinematics
 from shared.motion.limbs import solve_leg, unlock_arms
 from shared.motion.rotations import matrix_from_axis_angle
 from shared.motion.skeleton import CANONICAL
+from shared.protocol.rates import CORPUS_FPS as FPS
 
-FPS = 30.0
 _GRAVITY = 9.81
 
 

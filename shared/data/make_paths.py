@@ -11,8 +11,8 @@ from scipy.ndimage import gaussian_filter1d
 from shared.data.label import path_speed
 from shared.data.splice import extend_cycle, join, nearest, settle
 from shared.motion.body import Array, heading_rad, place, runs
+from shared.protocol.rates import CORPUS_FPS as FPS
 
-FPS = 30.0
 JOIN_DISTANCE = 0.30
 """Distance of poses (splice.pose_features, metres) below which two takes may be joined."""
 

@@ -18,8 +18,8 @@ from shared.motion.body import SIDES, SOLE_UNDER_ANKLE_M, Array, J, heading_rad
 from shared.motion.resampling import resample
 from shared.motion.rotations import matrix_about_z, normalize, wrap_angle
 from shared.motion.skeleton import CANONICAL
+from shared.protocol.rates import CORPUS_FPS as FPS
 
-FPS = 30.0
 LOWEST_M, HIGHEST_M = 0.2, 0.6
 _SEAT_M = (0.40, 0.45, 0.06)
 _HIP_UNDER_PELVIS_M = 0.075

@@ -12,8 +12,8 @@ from shared.motion.kinematics import forward_kinematics
 from shared.motion.limbs import MIN_BEND_RAD, reach, solve_leg
 from shared.motion.rotations import matrix_about_z, matrix_from_rotvec, normalize
 from shared.motion.skeleton import CANONICAL
+from shared.protocol.rates import CORPUS_FPS as FPS
 
-FPS = 30.0
 SWAY_RAD = {"spine1": 0.008, "spine2": 0.006, "neck": 0.035, "left_shoulder": 0.018, "right_shoulder": 0.018,
              "left_elbow": 0.03, "right_elbow": 0.03}  # fmt: skip
 

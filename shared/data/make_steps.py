@@ -9,9 +9,10 @@ from shared.data.balance import on_feet
 from shared.data.make_stand import SWAY_RAD, ease, wander
 from shared.data.splice import local_rotations
 from shared.motion.body import SIDES, SOLE_UNDER_ANKLE_M, Array, J, heading_rad, place
+from shared.motion.heading import heading_of
 from shared.motion.rotations import matrix_about_z, matrix_from_rotvec, rotvec_from_matrix, wrap_angle
+from shared.protocol.rates import CORPUS_FPS as FPS
 
-FPS = 30.0
 _LONGEST_STEP_M = 0.5
 
 
@@ -89,7 +90,7 @@ def step_to(
         ankles[side] = start + share[side][:, None] * (stop - start)
         ankles[side][:, 2] += height[side]
         toe_a, toe_b = (q[J[f"{side}_foot"]] - q[J[f"{side}_ankle"]] for q in (a, b))
-        angle = float(wrap_angle(np.arctan2(toe_b[1], toe_b[0]) - np.arctan2(toe_a[1], toe_a[0])))
+        angle = float(wrap_angle(heading_of(toe_b) - heading_of(toe_a)))
         turned = np.einsum("tij,j->ti", matrix_about_z(share[side] * angle), toe_a)
         turned[:, 2] += share[side] * (toe_b[2] - toe_a[2])
         feet[side] = turned

@@ -20,11 +20,12 @@ from shared.data.pieces import Piece
 from shared.data.props import Strike
 from shared.data.splice import local_rotations, rebuild, stand_over_feet
 from shared.motion.body import SIDES, Array, J, heading_rad, mirror, sole_height, velocity
+from shared.motion.heading import heading_of
 from shared.motion.limbs import elbow_pole, reach, solve_arm, solve_leg
 from shared.motion.rotations import matrix_about_z, wrap_angle
 from shared.motion.skeleton import CANONICAL
+from shared.protocol.rates import CORPUS_FPS as FPS
 
-FPS = 30.0
 HIT_M = 0.02
 """A made strike whose limb misses its point by more is left out."""
 
@@ -190,7 +191,7 @@ def _facing(pose: Array, point: Array) -> Array | None:
     """A stand about where `pose` is that looks at the point; None where that is behind it."""
     stand = stand_over_feet(pose)
     to = point[:2] - pose[0, :2]
-    turn = float(wrap_angle(np.arctan2(to[1], to[0]) - heading_rad(stand[None])[0]))
+    turn = float(wrap_angle(heading_of(to) - heading_rad(stand[None])[0]))
     return moved(stand, 0.0, 0.0, turn) if abs(turn) < _BEHIND_RAD else None
 
 

@@ -27,8 +27,8 @@ from shared.data.make_steps import flat_footed, moved, step_to
 from shared.data.maker import Maker
 from shared.data.pieces import Piece
 from shared.motion.body import Array, J, mirror
+from shared.protocol.rates import CORPUS_FPS as FPS
 
-FPS = 30.0
 _CALM_MPS, _CALM_M = 1.25, 0.66
 """Speed and distance between the ankles of walks that look right backward."""
 

@@ -14,8 +14,7 @@ from shared.data.props import Seat, Strike
 from shared.data.splice import settle, stand_over_feet
 from shared.data.texts import clean, sentences
 from shared.motion.body import Array, mirror
-
-FPS = 30.0
+from shared.protocol.rates import CORPUS_FPS as FPS
 
 
 @dataclass

@@ -22,6 +22,7 @@ from shared.motion.io.files import find_motion_files
 from shared.motion.io.options import ReadOptions
 from shared.motion.io.raw import LeftOutError
 from shared.motion.io.text import decode
+from shared.protocol.rates import CORPUS_FPS
 
 _SYNONYMS = {
     "idle": "stand", "jog": "run", "jogging": "run", "box": "punch", "boxing": "punch", "getup": "get_up",
@@ -102,7 +103,7 @@ def seen(pieces: Sequence[Piece], report: Report) -> list[Piece]:
             label = jump_label(p)
         elif label.behaviour == "stand":
             wrists = p[:, [J["left_wrist"], J["right_wrist"]]] - p[:, :1]
-            if float(np.linalg.norm(velocity(wrists, 30.0), axis=-1).mean(axis=0).max()) > _ARMS_MPS:
+            if float(np.linalg.norm(velocity(wrists, CORPUS_FPS), axis=-1).mean(axis=0).max()) > _ARMS_MPS:
                 label = Label("gesture", "gesture")
         if label != piece.label:
             before = set(clean(sentences(piece.label.action, piece.label.side)))

@@ -11,9 +11,10 @@ from scipy.ndimage import gaussian_filter1d, maximum_filter1d, median_filter, mi
 from shared.data.label import Label, airborne, chunks
 from shared.data.props import Seat
 from shared.motion.body import SIDES, Array, Bools, J, forward_of, heading_rad, left_axis, runs, sole_points, velocity
+from shared.motion.heading import faced_by, heading_of
 from shared.motion.rotations import normalize, wrap_angle
+from shared.protocol.rates import CORPUS_FPS as FPS
 
-FPS = 30.0
 _SHORTEST = 60
 _SEAT_DROP_M = 0.14
 """A pelvis this far below where it stands, and still, sits."""
@@ -95,7 +96,7 @@ def _swing(x: Array, seconds: float = 1.0) -> Array:
 def twist_rad(p: Array) -> Array:
     """(T,) how far the shoulders are turned against the hips, positive to the left."""
     across = p[:, J["left_shoulder"]] - p[:, J["right_shoulder"]]
-    return wrap_angle(np.arctan2(-across[:, 0], across[:, 1]) - heading_rad(p))
+    return wrap_angle(heading_of(faced_by(across)) - heading_rad(p))
 
 
 def _exercises(p: Array) -> list[Phase]:

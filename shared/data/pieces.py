@@ -27,8 +27,8 @@ from shared.data.splice import denoise, extend_cycle, local_rotations, settle, s
 from shared.data.texts import clean, sentences
 from shared.motion.body import Array, J, forward_of, heading_rad, origin_start, place, runs, velocity
 from shared.motion.io.raw import RawMotion
+from shared.protocol.rates import CORPUS_FPS as FPS
 
-FPS = 30.0
 SHORTEST = 100
 """Frames of the shortest clip: a planner window of 60 frames at 20 fps takes 90 frames at 30 fps, and some margin."""
 

@@ -21,8 +21,8 @@ from shared.motion.io.axes import unit_name, upright_share
 from shared.motion.io.files import read_motion
 from shared.motion.io.options import ReadOptions
 from shared.motion.io.raw import LeftOutError
+from shared.protocol.rates import CORPUS_FPS as FPS
 
-FPS = 30.0
 _REST_JUMP_M = 0.25
 _LEAST_FRAMES = 4
 _UNEVEN_M = 0.35

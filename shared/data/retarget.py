@@ -24,8 +24,8 @@ from shared.motion.rotations import (
     quat_slerp,
 )
 from shared.motion.skeleton import CANONICAL
+from shared.protocol.rates import CORPUS_FPS as FPS
 
-FPS = 30.0
 _LEG_M = float(CANONICAL.bone_lengths_m[J["left_knee"]] + CANONICAL.bone_lengths_m[J["left_ankle"]])
 _UP = np.array([0.0, 0.0, 1.0])
 

@@ -14,8 +14,7 @@ from shared.motion.io.files import read_motion
 from shared.motion.io.options import ReadOptions
 from shared.motion.io.raw import RawMotion
 from shared.motion.io.smpl import read_smpl_npz
-
-FPS = 30.0
+from shared.protocol.rates import CORPUS_FPS as FPS
 
 
 @dataclass(frozen=True)

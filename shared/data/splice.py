@@ -6,13 +6,14 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from shared.motion.body import SIDES, SOLE_UNDER_ANKLE_M, Array, J, forward_of, heading_rad, place
+from shared.motion.heading import heading_of
 from shared.motion.ik import clip_from_positions, rotations_from_positions, standing_pose
 from shared.motion.kinematics import forward_kinematics
 from shared.motion.limbs import solve_leg
 from shared.motion.rotations import matrix_about_z
 from shared.motion.skeleton import CANONICAL
+from shared.protocol.rates import CORPUS_FPS as FPS
 
-FPS = 30.0
 _SETTLE_RATE = 7.0
 _KEY_JOINTS = ("left_knee", "left_ankle", "left_foot", "right_knee", "right_ankle", "right_foot", "pelvis", "head",
                "left_wrist", "right_wrist")  # fmt: skip
@@ -113,7 +114,7 @@ def stand_over_feet(pose: Array) -> Array:
     feet = {side: pose[J[f"{side}_ankle"], :2] for side in SIDES}
     gap = feet["left"] - feet["right"]
     f = forward_of(pose[None])[0, :2]
-    heading = float(np.arctan2(f[1], f[0]))
+    heading = float(heading_of(f))
     left = np.array([-f[1], f[0]])
     # Feet that cross, nearly touch or stand far apart are brought to a stance that can be held.
     across, along = float(np.clip(gap @ left, 0.14, 0.42)), float(np.clip(gap @ f, -0.35, 0.35))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from shared.motion.heading import faced_by, hips_heading
 from shared.motion.rotations import normalize
 from shared.motion.skeleton import CANONICAL
 
@@ -35,14 +36,12 @@ def left_axis(p: Array) -> Array:
 
 def forward_of(p: Array) -> Array:
     """(T, 3) horizontal unit vector the pelvis faces."""
-    y = left_axis(p)
-    return normalize(np.stack([y[..., 1], -y[..., 0], np.zeros_like(y[..., 0])], axis=-1))
+    return normalize(faced_by(left_axis(p)))
 
 
 def heading_rad(p: Array) -> Array:
-    """(T,) unwrapped heading of the pelvis about Z."""
-    f = forward_of(p)
-    return np.unwrap(np.arctan2(f[..., 1], f[..., 0]))
+    """(T,) unwrapped heading of the hips."""
+    return np.unwrap(hips_heading(p))
 
 
 def foot_axes(p: Array, side: str) -> tuple[Array, Array]:

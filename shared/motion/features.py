@@ -13,10 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.errors import InvalidInputError
+from shared.motion.heading import body_heading
 from shared.motion.ik import rotations_from_positions
 from shared.motion.metrics import foot_contacts
 from shared.motion.resampling import finite_velocity
-from shared.motion.rotations import heading_of, matrix_to_6d, wrap_angle
+from shared.motion.rotations import matrix_to_6d, wrap_angle
 from shared.motion.skeleton import CANONICAL, Skeleton
 
 Array = npt.NDArray[np.float64]
@@ -45,14 +46,6 @@ class RootState:
 
     xy_w_m: Array
     heading_rad: Array
-
-
-def body_heading(positions_w_m: npt.ArrayLike, skeleton: Skeleton = CANONICAL) -> Array:
-    """Heading (...) in radians of a body (..., 22, 3): the normal of its hip and shoulder axes, seen from above."""
-    p = np.asarray(positions_w_m, dtype=np.float64)
-    lh, rh, ls, rs = skeleton.indices("left_hip", "right_hip", "left_shoulder", "right_shoulder")
-    left = (p[..., lh, :] - p[..., rh, :]) + (p[..., ls, :] - p[..., rs, :])
-    return heading_of(np.cross(left, np.array([0.0, 0.0, 1.0])))
 
 
 def root_state(positions_w_m: npt.ArrayLike, skeleton: Skeleton = CANONICAL) -> RootState:

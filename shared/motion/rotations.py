@@ -160,12 +160,6 @@ def quat_slerp(a: npt.ArrayLike, b: npt.ArrayLike, t: npt.ArrayLike) -> Array:
     return normalize(wa * a + wb * b)
 
 
-def heading_of(forward_w: npt.ArrayLike) -> Array:
-    """Heading in radians about Z of direction vectors (..., 3): 0 along +X, pi/2 along +Y."""
-    f = np.asarray(forward_w, dtype=np.float64)
-    return np.arctan2(f[..., 1], f[..., 0])
-
-
 def matrix_about_z(angle: npt.ArrayLike) -> Array:
     """Rotation (..., 3, 3) about +Z by `angle` radians."""
     angle = np.asarray(angle, dtype=np.float64)

@@ -19,7 +19,9 @@ PHYSICS_HZ: Final = 120
 LOG_HZ: Final = 120
 TICK_HZ: Final = 30
 PLANNER_FPS: Final = 20
-"""Rate of the planners that come along, of the corpus and of the character's own standing."""
+"""Rate of the planners that come along and of the character's own standing."""
+CORPUS_FPS: Final = float(TICK_HZ)
+"""Rate of the clips of a corpus: the tracker's; a planner is trained on windows of them at its own rate."""
 PLANNER_RATES: Final = tuple(fps for fps in range(5, 61) if LOG_HZ % fps == 0)
 LOG_RATES: Final = tuple(rate for rate in range(1, LOG_HZ + 1) if LOG_HZ % rate == 0)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from shared.motion.heading import heading_of
 from shared.motion.rotations import matrix_from_quat
 from shared.scenes.schema import Mark, Part, RandomRanges, Scene, SceneBody, Vec3
 
@@ -61,7 +62,7 @@ def mark_place(scene: Scene, name: str, pose_w: Array | None = None) -> Place:
     turn = matrix_from_quat(pose[3:] / np.linalg.norm(pose[3:]))
     faces = turn @ np.array([np.cos(heading), np.sin(heading), 0.0])
     position = pose[:3] + turn @ np.array(mark.position_b_m, dtype=np.float64)
-    return Place(position, float(np.arctan2(faces[1], faces[0])), mark.half_size_m)
+    return Place(position, float(heading_of(faces)), mark.half_size_m)
 
 
 def _drawn(body: SceneBody, rng: np.random.Generator) -> tuple[SceneBody, tuple[float, float]]:

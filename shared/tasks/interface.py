@@ -13,6 +13,7 @@ from typing import Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from shared.motion.heading import hips_heading
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import TICK_HZ, HeadingTarget, JointTarget
 from shared.scenes.schema import Scene
@@ -22,14 +23,7 @@ Array = npt.NDArray[np.float64]
 Status = Literal["running", "done", "failed"]
 Posture = Literal["upright", "seated", "from_floor"]
 
-_LEFT_HIP, _RIGHT_HIP, _PELVIS = (CANONICAL.index(name) for name in ("left_hip", "right_hip", "pelvis"))
-
-
-def heading_from_positions(pos_w_m: npt.ArrayLike) -> Array:
-    """Heading (...) in radians, 0 along +X, of bodies (..., 22, 3): the horizontal normal of the hip axis."""
-    p = np.asarray(pos_w_m, dtype=np.float64)
-    left = p[..., _LEFT_HIP, :] - p[..., _RIGHT_HIP, :]
-    return np.asarray(np.arctan2(-left[..., 0], left[..., 1]))
+_PELVIS = CANONICAL.index("pelvis")
 
 
 @dataclass(frozen=True)
@@ -61,7 +55,7 @@ class BodyView:
     @property
     def heading_rad(self) -> float:
         """Direction the hips face."""
-        return float(heading_from_positions(self.pos_w_m))
+        return float(hips_heading(self.pos_w_m))
 
 
 @dataclass(frozen=True)

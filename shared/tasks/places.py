@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.errors import InvalidInputError
+from shared.motion.heading import heading_of
 from shared.motion.rotations import matrix_from_quat
 from shared.scenes.placing import Place, mark_place
 from shared.scenes.schema import Mark, Scene
@@ -70,7 +71,7 @@ class MarkedObject:
         centre = pose[:, :3] + turn @ np.array(self.mark.position_b_m, dtype=np.float64)
         angle = np.deg2rad(self.mark.heading_deg)
         faces = turn @ np.array([np.cos(angle), np.sin(angle), 0.0])
-        heading = np.arctan2(faces[:, 1], faces[:, 0])
+        heading = heading_of(faces)
         away, cos, sin = points_w_m - centre, np.cos(heading), np.sin(heading)
         return np.stack([away[:, 0] * cos + away[:, 1] * sin, away[:, 1] * cos - away[:, 0] * sin, away[:, 2]], axis=-1)
 

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from shared.motion.heading import hips_heading
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import TICK_HZ
-from shared.tasks.interface import Trace, heading_from_positions
+from shared.tasks.interface import Trace
 
 Array = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -113,7 +114,7 @@ def best_speed_mps(pelvis_xy_m: Array, window_s: float = 1.0) -> float:
 
 def turned_rad(pos_w_m: Array) -> float:
     """Largest turn from the first heading, signed (left positive), unwrapped."""
-    heading = np.unwrap(heading_from_positions(pos_w_m))
+    heading = np.unwrap(hips_heading(pos_w_m))
     turn = heading - heading[0]
     return float(turn[np.argmax(np.abs(turn))])
 
@@ -138,7 +139,7 @@ def wave_reversals(pos_w_m: Array, least_m: float = 0.04) -> int:
     The larger of the counts along the body's left axis, its forward axis and the vertical, over both arms.
     """
     p = np.asarray(pos_w_m, dtype=np.float64)
-    heading = heading_from_positions(p)
+    heading = hips_heading(p)
     left = np.stack([-np.sin(heading), np.cos(heading), np.zeros_like(heading)], axis=-1)
     forward = np.stack([np.cos(heading), np.sin(heading), np.zeros_like(heading)], axis=-1)
     best = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import re
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -158,3 +159,30 @@ class Spelling:
 def plain() -> str:
     """The walk in plain form."""
     return Spelling().text()
+
+
+SIX = "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"
+CAMERA = "ROOT Camera\n{\n\tOFFSET 0 0 0\n\t" + SIX + "\n\tEnd Site\n\t{\n\t\tOFFSET 0 0 10\n\t}\n}\n"
+
+
+def with_camera(text: str, first: bool = False) -> str:
+    """A file with a second root, before or after the person's."""
+    head, rows = text.split("Frame Time: 0.0333333\n")
+    head = (
+        head.replace("HIERARCHY\n", "HIERARCHY\n" + CAMERA) if first else head.replace("MOTION\n", CAMERA + "MOTION\n")
+    )
+    values = "700 150 -300 0 20 0"
+    joined = [f"{values} {row}" if first else f"{row} {values}" for row in rows.strip().splitlines()]
+    return head + "Frame Time: 0.0333333\n" + "\n".join(joined) + "\n"
+
+
+def lines_with(at: str, new: str, text: str | None = None) -> str:
+    """The plain file with a pattern replaced once."""
+    out, count = re.subn(at, new, plain() if text is None else text, count=1, flags=re.MULTILINE)
+    assert count == 1
+    return out
+
+
+def comma(text: str) -> str:
+    """Decimal commas."""
+    return re.sub(r"(\d)\.(\d)", r"\1,\2", text)

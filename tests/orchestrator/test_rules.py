@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from shared.motion.heading import hips_heading
 from shared.motion.ik import standing_clip
 from shared.motion.rotations import matrix_about_z
 from shared.motion.skeleton import CANONICAL
 from shared.tasks import rules
-from shared.tasks.interface import Trace, heading_from_positions
+from shared.tasks.interface import Trace
 from shared.tasks.obey import kind_of, obeyed
 
 STAND = standing_clip(1, 30).positions_w_m[0]
@@ -67,7 +68,7 @@ def test_reversals_count_swings_above_the_threshold() -> None:
 def test_heading_and_turn_are_signed_and_unwrapped() -> None:
     angles = np.linspace(0, 1.5 * np.pi, 40)
     turning = np.einsum("tij,kj->tki", matrix_about_z(angles), STAND)
-    np.testing.assert_allclose(heading_from_positions(turning)[10], angles[10], atol=1e-9)
+    np.testing.assert_allclose(hips_heading(turning)[10], angles[10], atol=1e-9)
     assert rules.turned_rad(turning) == pytest.approx(1.5 * np.pi)
     assert rules.turned_rad(turning[::-1]) == pytest.approx(-1.5 * np.pi)
 

@@ -13,7 +13,7 @@ from planner_service.builtin.clip import ClipPlanner, bend
 from planner_service.builtin.library import ClipLibrary, words_of
 from planner_service.builtin.stand import StandPlanner, minimum_jerk, settle, standing_positions
 from shared.errors import InvalidInputError
-from shared.motion.features import body_heading
+from shared.motion.heading import body_heading
 from shared.motion.metrics import penetration_mm, sole_points
 from shared.motion.resampling import finite_velocity, resample
 from shared.motion.rotations import wrap_angle

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from shared.motion.heading import heading_of
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.rates import TICK_HZ
 from tracker_service.rendering.scene_shapes import SceneShape
@@ -95,9 +96,10 @@ def camera_path(job: VideoJob) -> tuple[FloatArray, FloatArray]:
     lookat = np.stack([x, y, np.full(len(pelvis), 0.85)], axis=-1)
     forward = _forward_xy(job)
     if job.camera == "follow":
-        facing = np.unwrap(np.arctan2(_smooth(forward[:, 1], 5 * job.fps), _smooth(forward[:, 0], 5 * job.fps)))
+        smooth = [_smooth(forward[:, k], 5 * job.fps) for k in range(2)]
+        facing = np.unwrap(heading_of(np.stack(smooth, axis=-1)))
         return lookat, facing + np.deg2rad(180.0 - 50.0)
-    start = float(np.arctan2(forward[0, 1], forward[0, 0]))
+    start = float(heading_of(forward[0]))
     return lookat, np.full(len(pelvis), start + np.pi / 2)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.errors import ConflictError, InvalidInputError, SimulationError
+from shared.motion.heading import heading_of
 from shared.motion.rotations import matrix_from_quat
 from shared.motion.skeleton import Skeleton
 from shared.plugins.interfaces import Tracker
@@ -355,8 +356,7 @@ class HostedCharacter:
             x, y = (float(v) for v in row["body_pos_w_m"][0, :2])
             xy_w_m = (x, y)
         if heading_rad is None:
-            forward = matrix_from_quat(row["body_quat_w"][0])[:, 0]
-            heading_rad = float(np.arctan2(forward[1], forward[0]))
+            heading_rad = float(heading_of(matrix_from_quat(row["body_quat_w"][0])[:, 0]))
         return xy_w_m, heading_rad
 
     def _stand_up(self, xy_w_m: Xy, heading_rad: float) -> None:

@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.errors import InvalidInputError
+from shared.motion.heading import heading_of
 from shared.motion.ik import rotations_from_positions, standing_pose
 from shared.motion.kinematics import forward_kinematics
 from shared.motion.resampling import resample, sample_at
 from shared.motion.rotations import (
-    heading_of,
     matrix_from_rotvec,
     quat_from_matrix,
     rotvec_from_matrix,

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from shared.motion.ik import standing_clip
+from shared.protocol.rates import TICK_HZ
 from shared.scenes.files import load_scene
 from tracker_service.policy.registry import make_tracker
 from tracker_service.simulation.character import SUBSTEPS, SimulatedCharacter
@@ -76,7 +77,7 @@ def bench_tracker(tracker: str = "ppo", ticks: int = 60, envs: int = 64, seed: i
 
 
 def _training_rate(envs: int, seed: int) -> float:
-    standing = standing_clip(120, 30.0).positions_w_m
+    standing = standing_clip(4 * TICK_HZ, TICK_HZ).positions_w_m
     references = prepare(HUMANOID, [MotionInput("stand", "stand", 1.0, standing)])
     env = TrackingEnv(HUMANOID, references, EnvSettings(envs=envs), seed)
     try:
