@@ -6,6 +6,7 @@ training was stopped before it or not, it is the same.
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, TypeVar
@@ -90,14 +91,17 @@ def drawn_by_workers(source: NumberedWork, first: int, until: int, workers: int,
     """The work of steps `first` to `until` - 1 in order, drawn by processes that share the corpus' memory."""
     loader: DataLoader[Work] = DataLoader(
         source, batch_size=None, sampler=range(first, until), num_workers=workers, prefetch_factor=4,
-        pin_memory=pinned, multiprocessing_context="fork", worker_init_fn=_one_thread,
+        pin_memory=pinned, multiprocessing_context="fork", worker_init_fn=_settle,
         generator=torch.Generator(),  # else the loader draws a seed that nothing uses from the one of the dropout
     )  # fmt: skip
     return iter(loader)
 
 
-def _one_thread(worker: int) -> None:
+def _settle(worker: int) -> None:
+    """One thread; and what ends the training (Ctrl-C reaches all processes) is the training's to hear."""
     torch.set_num_threads(1)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _mapped(value: T, change: Callable[[Tensor], Tensor]) -> T:
