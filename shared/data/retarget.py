@@ -45,6 +45,13 @@ def _heading_frame(left: Array) -> Array:
     return np.stack([np.cross(y, z), y, z], axis=-1)
 
 
+def _square_frame(up: Array, ahead: Array) -> Array:
+    """(..., 3, 3) frame whose Z axis is `up` and whose X axis is the part of `ahead` at a right angle to it."""
+    z = normalize(up)
+    y = normalize(np.cross(z, ahead))
+    return np.stack([np.cross(y, z), y, z], axis=-1)
+
+
 def _mean_rotation(m: Array) -> Array:
     """Chordal mean (3, 3) of rotations (N, 3, 3)."""
     u, _, vt = np.linalg.svd(m.mean(axis=0))
@@ -136,9 +143,14 @@ def _calibrate_upright(raws: Sequence[RawMotion], marks: dict[str, int], segment
         g = _rotations(raws, joint)
         side = name.removesuffix("_foot")
         if f"{side}_toe" in marks:
-            toe = _stack(raws, marks[f"{side}_toe"]) - _stack(raws, marks[f"{side}_ankle"])
+            ankle_at = _stack(raws, marks[f"{side}_ankle"])
+            toe = _stack(raws, marks[f"{side}_toe"]) - ankle_at
             planted = _planted(raws, marks, side)
-            frame = _heading_frame(np.cross(_UP, toe))
+            if planted.all():
+                # It never stands on that foot: on average it is held at a right angle to the shank.
+                frame = _square_frame(_stack(raws, marks[f"{side}_knee"]) - ankle_at, toe)
+            else:
+                frame = _heading_frame(np.cross(_UP, toe))
             out[name] = _mean_rotation(np.swapaxes(g[planted], -1, -2) @ frame[planted])
         else:
             low = name == "pelvis" or name.endswith("_foot")

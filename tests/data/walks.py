@@ -71,6 +71,20 @@ def hips() -> Array:
     return np.stack([0.0 * k, 90.0 + 1.5 * np.cos(4 * np.pi * k / 30.0), k * 11 / 3], axis=-1)
 
 
+def along_bones() -> dict[str, Array]:
+    """Axes (3, 3) of each joint in the zero pose as animation programs give them to bones: Y along the bone."""
+    offsets = {joint: np.array(offset, dtype=float) for joint, _, offset in JOINTS}
+    first = {parent: joint for joint, parent, _ in reversed(JOINTS)}
+    out = {}
+    for joint in offsets:
+        along = offsets[first.get(joint, joint)]
+        y = along / np.linalg.norm(along)
+        x = np.cross(y, [0.0, 0.3, 1.0])
+        x /= np.linalg.norm(x)
+        out[joint] = np.stack([x, y, np.cross(x, y)], axis=1)
+    return out
+
+
 @dataclass
 class Spelling:
     """How the walk is written.
@@ -81,6 +95,7 @@ class Spelling:
         scale: file units per centimetre.
         moving: every joint has position channels; without_offsets: and the bones stand only there.
         added: the position channels of joints below the hips are zero and the offsets hold.
+        axes: of each joint in the zero pose, where they are not the file's; offsets and rotations are told in them.
         above: lines of a joint above the hips: its CHANNELS line, its values, and its constant rotation.
     """
 
@@ -91,6 +106,7 @@ class Spelling:
     moving: bool = False
     without_offsets: bool = False
     added: bool = False
+    axes: Mapping[str, Array] = field(default_factory=dict)
     above: tuple[str, str, Array] | None = None
     frame_time: str = "0.0333333"
 
@@ -101,10 +117,14 @@ class Spelling:
         """The file."""
         rest = self.turn if self.rest is None else self.rest
         children: dict[str, list[str]] = {}
-        offsets = {}
+        offsets: dict[str, Array] = {}
+        own: dict[str, Array] = {}
+        held: dict[str, Array] = {}
         for joint, parent, offset in JOINTS:
             children.setdefault(parent, []).append(joint)
-            offsets[joint] = rest @ np.array(offset, dtype=float) * self.scale
+            own[joint] = self.axes.get(joint, np.eye(3))
+            held[joint] = own.get(parent, np.eye(3))
+            offsets[joint] = held[joint].T @ rest @ np.array(offset, dtype=float) * self.scale
         order: list[str] = []
         lines = ["HIERARCHY"]
 
@@ -138,6 +158,7 @@ class Spelling:
         columns: list[Array] = []
         for joint in order:
             local = rest @ rotations.get(joint, np.broadcast_to(np.eye(3), (FRAMES, 3, 3))) @ rest.T
+            local = held[joint].T @ local @ own[joint]
             if joint == "Hips":
                 columns.append((hips() * self.scale) @ self.turn.T @ base)
                 local = base.T @ self.turn @ rest.T @ local
