@@ -18,13 +18,12 @@ from rich.console import Console
 from rich.markup import escape
 
 from orchestrator.client import Client
-from shared.console import EXPECTED, as_ours, in_words
+from shared.console import EXPECTED, as_ours, check_output_file, in_words
 
 console = Console(stderr=True)
 
 Url = Annotated[str, typer.Option(envvar="MOTIONLOOP_URL", help="server to talk to")]
 Token = Annotated[str | None, typer.Option(envvar="MOTIONLOOP_TOKEN", help="bearer token of the server")]
-JsonFile = Annotated[Path | None, typer.Option("--json", help="write the result to this file")]
 HINTS = {
     "unauthorized": "give the server's token with --token or in MOTIONLOOP_TOKEN",
     "overloaded": "try again later, or end a character or an episode first",
@@ -46,6 +45,16 @@ def for_people() -> Iterator[None]:
         line = escape(f"{in_words(error)}{hint}")
         console.print(f"[red]{line}[/red]", highlight=False, soft_wrap=True)
         raise typer.Exit(1) from error
+
+
+def writable(path: Path | None) -> Path | None:
+    """Callback of options that name a file to write: what is wrong with it is told before the work."""
+    with for_people():
+        check_output_file(path)
+    return path
+
+
+JsonFile = Annotated[Path | None, typer.Option("--json", help="write the result to this file", callback=writable)]
 
 
 @contextmanager

@@ -9,7 +9,7 @@ import typer
 
 from orchestrator.cli.common import JsonFile, console, for_people, provenance, save_json
 from orchestrator.cli.delegate import need
-from shared.console import EXPECTED, as_ours, check_output_file
+from shared.console import EXPECTED, as_ours
 
 if TYPE_CHECKING:
     from shared.motion.io.options import ReadOptions
@@ -49,7 +49,6 @@ def data_import(
             typer.echo(line)
 
     with for_people():
-        check_output_file(json)
         entries: list[dict[str, Any]] = []
         try:
             entries = import_path(source, out, read_options(fps, up, unit, joints), row)
@@ -81,7 +80,6 @@ def data_build(
     from shared.data.build import build
 
     with for_people():
-        check_output_file(json)
         lines: list[str] = []
         try:
             with console.status("building ...") as status:

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from orchestrator.cli.common import JsonFile, console, for_people, provenance, write_json
+from orchestrator.cli.common import JsonFile, console, for_people, provenance, writable, write_json
 from orchestrator.cli.delegate import PASS_THROUGH, module_json, run_module
 from orchestrator.core.services import Services, connect
 from orchestrator.core.supervise import Stack, StackOptions
@@ -124,7 +124,7 @@ def eval_tasks(
     planner: Planner = None,
     tracker: Tracker = None,
     resume: Annotated[Path | None, typer.Option(help="JSON lines of finished episodes, to go on from")] = None,
-    report: Annotated[Path | None, typer.Option(help="write the table as Markdown")] = None,
+    report: Annotated[Path | None, typer.Option(help="write the table as Markdown", callback=writable)] = None,
     json: JsonFile = None,
 ) -> None:
     """Success rates of tasks (strict, paper, code) with a Wilson interval."""
@@ -139,7 +139,7 @@ def eval_tasks(
         )  # fmt: skip
     whole = {**result, **provenance(seed)}
     if report is not None:
-        report.write_text(as_markdown(whole))
+        report.write_text(as_markdown(whole), encoding="utf-8")
     write_json(json, whole)
 
 

@@ -17,7 +17,6 @@ from rich.text import Text
 from orchestrator.cli.common import JsonFile, Token, Url, client, console
 from orchestrator.client import CharacterInfo, Client, EpisodeInfo
 from orchestrator.client.calls import DEFAULT_URL
-from shared.console import check_output_file
 from shared.protocol.rates import TICK_HZ
 from shared.protocol.rest import ServiceHealth, ServicesHealth
 
@@ -131,18 +130,17 @@ def top(
     token: Token = None,
 ) -> None:
     """Show the services, characters and episodes of a server, until Ctrl-C. --json writes a line for each look."""
-    with client(url, token) as http:
-        check_output_file(json_file)
-        with (
-            json_file.open("w", encoding="utf-8") if json_file else nullcontext() as lines,
-            suppress(KeyboardInterrupt),
-        ):
-            _show(http, every, seconds, lines)
+    with (
+        client(url, token) as http,
+        json_file.open("w", encoding="utf-8") if json_file else nullcontext() as lines,
+        suppress(KeyboardInterrupt),
+    ):
+        _show(http, every, seconds, lines)
 
 
 def _show(http: Client, every_s: float, seconds: float | None, lines: TextIO | None) -> None:
-    began = time.monotonic()
     look = Look.at(http)
+    began = time.monotonic()
     with Live(look.render(), console=console, auto_refresh=False) as live:
         while True:
             if lines is not None:

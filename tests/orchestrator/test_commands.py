@@ -11,11 +11,13 @@ import pytest
 from typer.testing import CliRunner
 
 from orchestrator.cli import main as cli
+from orchestrator.cli import measure
 from shared.motion.ik import clip_from_positions, standing_clip
 from shared.motion.io.bvh import write_bvh
 from shared.motion.io.options import ReadOptions
 from tests.data.samples import stepping
 from tests.data.walks import Spelling
+from tracker_service.training import evaluate_clips
 from tracker_service.training.evaluate_clips import motions_of_files
 
 IN_PROCESS = CliRunner(env={"COLUMNS": "200", "TERM": "dumb"})
@@ -75,6 +77,15 @@ def test_wrong_use_is_told(arguments: list[str]) -> None:
     refused = IN_PROCESS.invoke(cli.app, arguments)
     assert refused.exit_code == 2
     assert "Usage" in refused.output
+
+
+@pytest.mark.parametrize("option", ["--json", "--report"])
+def test_a_result_that_cannot_be_written_is_told_before_the_work(
+    option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(measure, "with_pairs", lambda *_, **__: pytest.fail("it was measured first"))
+    refused = IN_PROCESS.invoke(cli.app, ["eval", "tasks", "--tasks", "halt", option, str(tmp_path)])
+    assert refused.exit_code == 1 and "it is a folder" in refused.output
 
 
 @pytest.mark.parametrize(
@@ -151,3 +162,13 @@ def test_eval_tracker_reads_clips_as_it_is_told(tmp_path: Path) -> None:
     assert "can be followed" in result["error"]
     run("eval", "tracker", "--clips", str(tmp_path / "nowhere"), "--json", str(result_file), code=1)
     assert "no motion files" in json.loads(result_file.read_text())["error"]
+
+
+@pytest.mark.parametrize(
+    "wrong", [["--suite", "dragons"], ["--suite", "stand", "--clips", "."], [], ["--clips", ".", "--corpus", "."]]
+)
+def test_an_evaluation_of_the_tracker_that_is_asked_wrongly_is_refused_at_once(
+    wrong: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(evaluate_clips, "cached_corpus", lambda _: pytest.fail("a corpus was built first"))
+    assert IN_PROCESS.invoke(evaluate_clips.app, wrong).exit_code == 2

@@ -1,7 +1,7 @@
 """`motionloop eval tracker`: how well the shipped policy follows clips, recorded or held out of a corpus (DESIGN 8).
 
 `--clips DIR` takes motion files (BVH, ASF + AMC, SMPL npz; any reasonable skeleton is retargeted), `--corpus DIR` the
-held-out clips of a corpus; `--suite` standing, pushes or seats.
+held-out clips of a corpus; `--suite` what `suites.SUITES` names, in place of clips.
 """
 
 from __future__ import annotations
@@ -113,8 +113,10 @@ def main(
     joints: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON of our joint names to the files'")] = None,
 ) -> None:
     """Follow every clip once and report success, errors and falls by behaviour; exit code 1 if a file is unreadable."""
-    if (clips is None) == (corpus is None) and (suite is None or clips is not None):
+    if (clips is not None) + (corpus is not None) != 1 if suite is None else clips is not None:
         raise typer.BadParameter("give either --clips or --corpus, or --suite")
+    if suite is not None and suite not in SUITES:
+        raise typer.BadParameter(f"unknown suite {suite!r}; known: {', '.join(SUITES)}")
     if tracker not in TRACKERS:
         raise typer.BadParameter(f"unknown tracker {tracker!r}; known: {', '.join(TRACKERS)}")
     check_output_file(json_file)
