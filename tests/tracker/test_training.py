@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -196,6 +196,27 @@ def test_the_environments_reward_is_of_its_own_clip_at_its_own_tick() -> None:
     env.time[:] = 10_000
     assert (env._frames(0) == pair.start[env.clip] + pair.length[env.clip] - 1).all()
     env.close()
+
+
+def test_threads_share_the_work_and_change_nothing(references: ReferenceSet) -> None:
+    one, three = (TrackingEnv(HUMANOID, references, SMALL.model_copy(update={"threads": n}), seed=4) for n in (1, 3))
+    np.testing.assert_allclose(one.reset_all(), three.reset_all(), atol=1e-6)
+    action = np.zeros((SMALL.envs, one.hinges), np.float32)
+    for _ in range(5):
+        a, b = one.step(action), three.step(action)
+        np.testing.assert_allclose(a.observation, b.observation, atol=1e-6)
+        np.testing.assert_allclose(a.reward, b.reward, atol=1e-6)
+    one.close()
+    three.close()
+
+
+def test_references_made_by_several_processes_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tracker_service.training.dataset.JOB_CLIPS", 2)
+    standing = standing_clip(40, 30.0).positions_w_m
+    motions = [MotionInput(f"{n}", "stand", 1.0, standing[n:]) for n in range(5)]
+    one, many = prepare(HUMANOID, motions), prepare(HUMANOID, motions, jobs=2)
+    for field in fields(ReferenceSet):
+        np.testing.assert_array_equal(getattr(one, field.name), getattr(many, field.name))
 
 
 def test_evaluation_of_standing_still(references: ReferenceSet) -> None:

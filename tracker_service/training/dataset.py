@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +24,7 @@ F32 = npt.NDArray[np.float32]
 PLAN = "plan"
 """Behaviour of recorded plans."""
 PIECE_TICKS, PIECE_OVERLAP_TICKS = 180, 60
+JOB_CLIPS = 50
 PREPARATION = "6"
 """Changes whenever prepared arrays would come out differently; part of the cache's key."""
 
@@ -118,9 +121,32 @@ def largest_change_rad(references: ReferenceSet) -> npt.NDArray[np.float64]:
 
 
 def prepare(
+    human: Humanoid, motions: Sequence[MotionInput], progress: Callable[[str, float], None] | None = None,
+    jobs: int = 1,
+) -> ReferenceSet:  # fmt: skip
+    """Inverse kinematics, hinges and velocities of all clips; `progress(what, share)` is called now and then.
+
+    Args:
+        jobs: processes among which clips are spread; what comes out is the same.
+    """
+    if jobs == 1 or len(motions) < 2 * JOB_CLIPS:
+        return _prepared(human, motions, progress)
+    parts = []
+    shares = [motions[first : first + JOB_CLIPS] for first in range(0, len(motions), JOB_CLIPS)]
+    # Fresh processes: a copy of this one would hold locks of threads that it does not have.
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        for number, part in enumerate(pool.map(_prepared, [human] * len(shares), shares)):
+            parts.append(part)
+            if progress is not None:
+                progress("preparing references", (number + 1) / len(shares))
+    names = [field.name for field in fields(ReferenceSet) if field.name != "start"]
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return ReferenceSet(**joined, start=np.concatenate([[0], np.cumsum(joined["length"])[:-1]]).astype(np.int64))
+
+
+def _prepared(
     human: Humanoid, motions: Sequence[MotionInput], progress: Callable[[str, float], None] | None = None
 ) -> ReferenceSet:
-    """Inverse kinematics, hinges and velocities of all clips; `progress(what, share)` is called now and then."""
     kinematics = BodyKinematics(human)
     model = training_model(human)
     seats: list[tuple[float, ...]] = []
@@ -154,6 +180,7 @@ def prepare_cached(
     motions: Sequence[MotionInput],
     folder: Path,
     progress: Callable[[str, float], None] | None = None,
+    jobs: int = 1,
 ) -> ReferenceSet:
     """As `prepare`, kept in `folder` under a hash of the motions and the character."""
     digest = hashlib.sha256((PREPARATION + human.character.model_dump_json()).encode())
@@ -164,7 +191,7 @@ def prepare_cached(
     if path.exists():
         with np.load(path, allow_pickle=False) as data:
             return ReferenceSet(**{field.name: data[field.name] for field in fields(ReferenceSet)})
-    made = prepare(human, motions, progress)
+    made = prepare(human, motions, progress, jobs)
     folder.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(".tmp.npz")
     np.savez(partial, **{field.name: getattr(made, field.name) for field in fields(ReferenceSet)})

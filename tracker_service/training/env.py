@@ -7,7 +7,10 @@ the preview never runs over the clip's last tick.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -45,7 +48,7 @@ class EnvSettings(BaseModel):
     """How episodes go.
 
     Attributes:
-        envs: humanoids at once. threads: of physics.
+        envs: humanoids at once. threads: of physics, and of what follows from it.
         action_scale_rad: servo targets move by at most this from the led reference.
         episode_ticks: longest episode.
         stop_mean_m, stop_max_m: mean and largest joint distance that end an episode.
@@ -113,6 +116,9 @@ class TrackingEnv:
         self._rollout = rollout.Rollout(nthread=threads if threads > 1 else 0)
         self._data = [mujoco.MjData(self.model) for _ in range(threads)]
         b, h = settings.envs, len(human.hinges)
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        edges = np.linspace(0, b, threads + 1).astype(int).tolist()
+        self._shares = [slice(i, j) for i, j in zip(edges[:-1], edges[1:], strict=True) if j > i]
         self.rng = np.random.default_rng(seed)
         self.state = np.zeros((b, mujoco.mj_stateSize(self.model, _FULL)))
         self.clip = np.zeros(b, dtype=np.int64)
@@ -132,8 +138,16 @@ class TrackingEnv:
         self._limbs = [self.model.body(f"{side}_{part}").id for side in ("left", "right") for part in KNOCKED]
 
     def close(self) -> None:
-        """Stop the physics threads."""
+        """Stop the threads."""
         self._rollout.close()
+        if self._pool is not None:
+            self._pool.shutdown()
+
+    def _shared(self, work: Callable[[slice], tuple[npt.NDArray[Any], ...]]) -> tuple[npt.NDArray[Any], ...]:
+        """What `work` gives for all environments, done by all threads, joined along the first axis."""
+        if self._pool is None:
+            return work(slice(None))
+        return tuple(np.concatenate(parts) for parts in zip(*self._pool.map(work, self._shares), strict=True))
 
     def reset_all(self) -> F32:
         """Begin a new episode everywhere; first observations (B, D)."""
@@ -202,7 +216,13 @@ class TrackingEnv:
     def bodies(self) -> BodyStates:
         """World states of all bodies now."""
         if self._bodies is None:
-            self._bodies = self.kinematics.states(self.qpos, self.qvel)
+            qpos, qvel = self.qpos, self.qvel
+
+            def states(rows: slice) -> tuple[npt.NDArray[Any], ...]:
+                s = self.kinematics.states(qpos[rows], qvel[rows])
+                return s.pos_w_m, s.rot_w, s.linvel_w_mps, s.angvel_w_radps
+
+            self._bodies = BodyStates(*self._shared(states))
         return self._bodies
 
     def _frames(self, ahead: int, rows: Ints | slice = slice(None)) -> Ints:
@@ -210,8 +230,14 @@ class TrackingEnv:
         last = self.references.length[clip] - 1
         return np.asarray(self.references.start[clip] + np.minimum(self.time[rows] + ahead, last))
 
-    def observe(self, rows: Ints | slice = slice(None)) -> F32:
+    def observe(self, rows: Ints | None = None) -> F32:
         """(B, D) observations now, of some environments or all."""
+        self.bodies()
+        if rows is not None:
+            return self._observe(rows)
+        return np.asarray(self._shared(lambda share: (self._observe(share),))[0], dtype=np.float32)
+
+    def _observe(self, rows: Ints | slice) -> F32:
         ref, bodies = self.references, self.bodies()
         near = self._frames(PREVIEW_TICKS[0], rows)
         ref_pos = np.stack([ref.pos_w_m[self._frames(k, rows)] for k in PREVIEW_TICKS], axis=1).astype(np.float64)
@@ -273,22 +299,28 @@ class TrackingEnv:
         self.time += 1
         self.age += 1
         self.jump_m *= s.jump_decay
-        bodies, ref, now = self.bodies(), self.references, self._frames(0)
-        pos = bodies.pos_w_m.astype(np.float32)
-        target = ref.pos_w_m[now].copy()
-        target[..., :2] += self.jump_m.astype(np.float32)[:, None]
-        distance = np.linalg.norm(pos - target, axis=-1)
-        rot_xy = bodies.rot_w[..., :2].swapaxes(-1, -2).astype(np.float32)
+        self.bodies()
         clipped = np.clip(action, -1.0, 1.0)
+        distance, reward = self._shared(lambda rows: self._judged(rows, clipped))
+        self.previous_action = clipped
+        return distance, np.asarray(reward, dtype=np.float32), exploded
+
+    def _judged(self, rows: slice, action: F32) -> tuple[F32, F32]:
+        """Distances to the reference and reward of some environments that arrived under actions (B, H)."""
+        bodies, ref, now = self.bodies(), self.references, self._frames(0, rows)
+        pos = bodies.pos_w_m[rows].astype(np.float32)
+        target = ref.pos_w_m[now].copy()
+        target[..., :2] += self.jump_m[rows].astype(np.float32)[:, None]
+        distance = np.linalg.norm(pos - target, axis=-1)
+        rot_xy = bodies.rot_w[rows, ..., :2].swapaxes(-1, -2).astype(np.float32)
         reward = (
             0.5 * rewards.position_reward(pos, target)
             + 0.3 * rewards.rotation_reward(rot_xy, ref.rot_xy[now])
-            + 0.1 * rewards.velocity_reward(bodies.linvel_w_mps.astype(np.float32), ref.linvel_w_mps[now])
-            + 0.1 * rewards.hinge_rate_reward(self.qvel[:, 6:].astype(np.float32), ref.qvel[now, 6:])
-            - 0.02 * rewards.smoothness_cost(clipped, self.previous_action)
+            + 0.1 * rewards.velocity_reward(bodies.linvel_w_mps[rows].astype(np.float32), ref.linvel_w_mps[now])
+            + 0.1 * rewards.hinge_rate_reward(self.qvel[rows, 6:].astype(np.float32), ref.qvel[now, 6:])
+            - 0.02 * rewards.smoothness_cost(action[rows], self.previous_action[rows])
         )
-        self.previous_action = clipped
-        return distance, np.asarray(reward, dtype=np.float32), exploded
+        return distance, reward
 
     def failed(self, distance: F32) -> Bools:
         """(B,) whether joint distances (B, J) end an episode."""

@@ -46,24 +46,27 @@ def motions(corpus: Corpus, split: str, mirrored: bool = True) -> list[MotionInp
 
 
 def references(
-    corpus_dir: Path, split: str, cache: Path, say: Callable[[str], None], human: Humanoid | None = None
-) -> ReferenceSet:
+    corpus_dir: Path, split: str, cache: Path, say: Callable[[str], None], human: Humanoid | None = None,
+    jobs: int = 1,
+) -> ReferenceSet:  # fmt: skip
     """Prepared references of a split; held-out clips are not judged twice by their mirror images."""
 
     def progress(what: str, share: float) -> None:
         say(f"{what}: {100 * share:.0f} %")
 
     corpus = Corpus.load(corpus_dir)
-    return prepare_cached(human or humanoid(HUMAN), motions(corpus, split, mirrored=split == "train"), cache, progress)
+    clips = motions(corpus, split, mirrored=split == "train")
+    return prepare_cached(human or humanoid(HUMAN), clips, cache, progress, jobs)
 
 
 def training_sets(
     human: Humanoid, corpus: Path, cache: Path, focus: dict[str, float], banks: dict[Path, float],
-    say: Callable[[str], None],
+    say: Callable[[str], None], jobs: int = 1,
 ) -> tuple[ReferenceSet, ReferenceSet]:  # fmt: skip
-    """What is trained on and what is held out, prepared; arguments as for `train`, banks with their shares."""
-    train_set = references(corpus, "train", cache, say, human)
-    heldout_set = references(corpus, "heldout", cache, say, human)
+    """What is trained on and what is held out, prepared by `jobs` processes; arguments as for `train`, banks with
+    their shares."""
+    train_set = references(corpus, "train", cache, say, human, jobs)
+    heldout_set = references(corpus, "heldout", cache, say, human, jobs)
     jumping = largest_change_rad(train_set) > LARGEST_CHANGE_RAD
     say(f"{int(jumping.sum())} clips left out: a hinge jumps by more than {LARGEST_CHANGE_RAD:g} rad in a tick")
     train_set = replace(train_set, weight=train_set.weight * ~jumping)
@@ -75,7 +78,7 @@ def training_sets(
         pieces = load_bank(bank)
         kept, heldout = ([p for i, p in enumerate(pieces) if (i % HELDOUT_PIECE == 0) is out] for out in (False, True))
         # What comes later takes its part of this one too: in the end each has its share, the corpus what they leave.
-        train_set = concatenated(train_set, prepare_cached(human, kept, cache), share / (1.0 - later))
+        train_set = concatenated(train_set, prepare_cached(human, kept, cache, jobs=jobs), share / (1.0 - later))
         heldout_set = concatenated(heldout_set, prepare_cached(human, heldout, cache), 0.5)
     say(f"{len(train_set)} clips, {len(train_set.qpos) / 1800:.1f} min to train on; {len(heldout_set)} held out")
     return train_set, heldout_set
@@ -100,7 +103,7 @@ def train(
     torch.set_num_threads(threads)
     human = humanoid(HUMAN)
     banks = {} if bank is None else {bank: bank_share}
-    train_set, heldout_set = training_sets(human, corpus, out / "cache", focus or {}, banks, say)
+    train_set, heldout_set = training_sets(human, corpus, out / "cache", focus or {}, banks, say, threads)
     stop = False
 
     def ask_to_stop(signum: int, frame: object) -> None:

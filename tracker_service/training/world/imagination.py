@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -120,6 +121,8 @@ class Imagination:
         return model.moved(state, mixed(model.net, x, self._bf16) * model.scale)
 
 
-def can_compile() -> bool:
-    """Whether torch.compile finds what it needs here."""
+def can_compile(device: torch.device) -> bool:
+    """Whether torch.compile finds what it needs here: a C++ compiler, and Triton for a graphics card."""
+    if device.type == "cuda" and importlib.util.find_spec("triton") is None:
+        return False
     return shutil.which("g++") is not None or shutil.which("clang++") is not None

@@ -18,7 +18,7 @@ from tracker_service.training.network import mlp
 from tracker_service.training.world.body import Bodies, Kinematics, Mirror, State, tensor
 from tracker_service.training.world.imagination import Imagination, Sight, can_compile, mixed
 from tracker_service.training.world.model import WorldModel, model_loss
-from tracker_service.training.world.replay import Places, Replay
+from tracker_service.training.world.replay import Places, Replay, Spots
 from tracker_service.training.world.settings import WorldSettings
 from tracker_service.training.world.sight import Reference, observe, still_tracked, support_heights
 
@@ -29,9 +29,17 @@ SATURATION_COST = 0.002
 TAIL_TICKS = max(PREVIEW_TICKS) + 1
 
 
-def has_bf16() -> bool:
-    """Whether matrix products in bfloat16 are fast here: elsewhere they are twenty times slower than float32."""
+def has_bf16(device: torch.device) -> bool:
+    """Whether matrix products in bfloat16 are fast here: on processors without them they are twenty times slower than
+    float32. A graphics card spends its time on starting kernels, and conversions are more of these: TF32 there."""
+    if device.type != "cpu":
+        return False
     return bool(torch.backends.cpu.get_cpu_capability() == "AVX512" and torch.cpu._is_avx512_bf16_supported())
+
+
+def with_history(state: State) -> State:
+    """The same state as later imagined ones are, contiguous and with gradient: one compiled tick does for all."""
+    return State(*(part.contiguous().requires_grad_() for part in state.parts()))
 
 
 @dataclass(frozen=True)
@@ -88,6 +96,9 @@ class Learner:
         observation: int, heights: int, device: torch.device | str = "cpu",
     ):  # fmt: skip
         s, hinges, bodies = settings, len(human.hinges), len(human.skeleton)
+        device = torch.device(device)
+        if device.type == "cuda":
+            torch.set_float32_matmul_precision("high")
         self.settings, self.env, self.device, self.heights = s, env, device, heights
         self.references = References.of(references, device)
         self.kinematics = Kinematics(human, device)
@@ -99,8 +110,8 @@ class Learner:
         self.model = WorldModel(bodies, hinges, heights, s.model_hidden).to(device)
         self.averaged = deepcopy(self.actor)
         self.target_critic = deepcopy(self.critic)
-        self.bf16 = has_bf16() if s.bf16 is None else s.bf16
-        self.compiled = can_compile() if s.compiled is None else s.compiled
+        self.bf16 = has_bf16(device) if s.bf16 is None else s.bf16
+        self.compiled = can_compile(device) if s.compiled is None else s.compiled
         self.imagination = Imagination(
             human, env, self.kinematics, self.sight, self.actor, self.model, self.bf16, self.compiled, device
         )
@@ -133,9 +144,13 @@ class Learner:
     def _tensor(self, array: npt.NDArray[np.generic]) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
 
-    def state_at(self, replay: Replay, index: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]) -> State:
+    def spots(self, places: Places) -> Spots:
+        """The same places for tensors of the ring."""
+        return Spots.of(places, self.device)
+
+    def state_at(self, replay: Replay, index: tuple[Tensor, Tensor]) -> State:
         """States (N,) at places of the ring."""
-        return State.of(self._tensor(replay.qpos[index]), self._tensor(replay.qvel[index]))
+        return State.of(replay.qpos[index], replay.qvel[index])
 
     def seats_at(self, replay: Replay, places: Places) -> Tensor:
         """(N, 4) seats of the clips that are followed at places of the ring."""
@@ -151,14 +166,15 @@ class Learner:
     def take_normalisation(self, replay: Replay, rng: np.random.Generator, sight: bool, model: bool) -> None:
         """Spread of observations, and of the model's features and changes, from what is in the ring."""
         places = replay.draw(rng, 8192, 1)
+        at = self.spots(places)
         if model:
-            s, n = self.state_at(replay, places.later(0)), self.state_at(replay, places.later(1))
-            target = self._tensor(replay.target[places.later(0)])
+            s, n = self.state_at(replay, at.later(0)), self.state_at(replay, at.later(1))
+            target = replay.target[at.later(0)]
             bodies = self.kinematics(s)
             seat = self.seats_at(replay, places)
             self.model.normalize_by(s, bodies, target, self.heights_of(bodies, seat), n)
         if sight:
-            seen = self._tensor(replay.observation[places.later(0)])
+            seen = replay.observation[at.later(0)]
             self.sight.mean.copy_(seen.mean(0))
             self.sight.std.copy_(seen.std(0).clamp(min=0.02))
 
@@ -170,33 +186,39 @@ class Learner:
         if count < s.model_batch:  # a compiled tick knows one batch size
             return {}
         which = torch.from_numpy(rng.random(count) < s.mirrored_share).to(self.device)
-        state = self.mirror.some(self.state_at(replay, places.later(0)), which)
+        at = self.spots(places)
+        state = self.mirror.some(self.state_at(replay, at.later(0)), which)
+        if self.compiled:
+            state = with_history(state)
         bodies = self.kinematics(state)
         seat = self.mirror.some_seats(self.seats_at(replay, places), which)
         loss = torch.zeros((), device=self.device)
-        first = 0.0
         for k in range(s.model_ticks):
-            target = self.mirror.some_hinges(self._tensor(replay.target[places.later(k)]), which)
+            target = self.mirror.some_hinges(replay.target[at.later(k)], which)
             heights = self.heights_of(bodies, seat)
             state, bodies = self.imagination.model_tick(state, bodies, target, heights)
-            true = self.mirror.some(self.state_at(replay, places.later(k + 1)), which)
+            true = self.mirror.some(self.state_at(replay, at.later(k + 1)), which)
             loss = loss + model_loss(self.model, state, true)
             if k == 0:
                 scale = self.model.scale[6 : 6 + self.model.hinges]
-                first = float(((state.rate_radps - true.rate_radps) / scale).detach().abs().mean())
+                first = ((state.rate_radps - true.rate_radps) / scale).detach().abs().mean()
         loss = loss / s.model_ticks
         self._step("model", self.model, loss, MODEL_GRADIENT_NORM)
         drift = (state.pos_w_m - true.pos_w_m).detach().norm(dim=-1).mean()
-        return {"model_loss": float(loss.detach()), "model_one_tick": first, "model_drift_mm": 1e3 * float(drift)}
+        return {
+            "model_loss": float(loss.detach()),
+            "model_one_tick": float(first),
+            "model_drift_mm": 1e3 * float(drift),
+        }
 
     def update_critic(self, replay: Replay, rng: np.random.Generator) -> dict[str, float]:
         """One step on n-step returns, bootstrapped by the slowly moving target critic."""
         s = self.settings
         places, total, after, factor = replay.returns(rng, s.critic_batch, s.critic_ticks, s.gamma)
         with torch.no_grad():
-            rest = self.value(self._tensor(replay.observation[after.later(0)]), target=True)
+            rest = self.value(replay.observation[self.spots(after).later(0)], target=True)
             wanted = self._tensor(total) + self._tensor(factor) * rest
-        value = self.value(self._tensor(replay.observation[places.later(0)]))
+        value = self.value(replay.observation[self.spots(places).later(0)])
         loss = ((value - wanted) ** 2).mean()
         self._step("critic", self.critic, loss, None)
         with torch.no_grad():
@@ -212,13 +234,15 @@ class Learner:
         if len(places.slot) < s.policy_batch:
             return {}
         index = places.later(0)
-        state = self.state_at(replay, index)
+        at = self.spots(places).later(0)
+        state = self.state_at(replay, at)
         clip, time = self._tensor(replay.clip[index]), self._tensor(replay.time[index])
-        jump = self._tensor(replay.jump_m[index])
-        previous = self._tensor(replay.previous_action[index]).float()
+        jump, previous = replay.jump_m[at], replay.previous_action[at].float()
         seat = self.references.seat[clip]
         for module in (self.model, self.critic):
             module.requires_grad_(False)
+        if self.compiled:
+            state = with_history(state)
         bodies = self.kinematics(state)
         total = torch.zeros(len(clip), device=self.device)
         alive = torch.ones_like(total)

@@ -34,14 +34,15 @@ def train(
     """Train until `until_samples`, `until_minutes` or SIGTERM/SIGINT, resuming from `out`/checkpoint.pt if it is there.
 
     Args:
-        corpus: folder made by `motionloop data build`. threads: of physics and torch, at different times.
+        corpus: folder made by `motionloop data build`.
+        threads: of physics and torch, at different times; before, so many processes prepare the references.
         focus: factors on the sampling weight of behaviours. banks: folders of recorded plans or ways up, with their
             shares of the sampling.
         init: shipped actor to start from where `out` has no checkpoint; critic and model beside it are taken too.
     """
     torch.set_num_threads(threads)
     human = humanoid(character_named(character))
-    train_set, heldout_set = training_sets(human, corpus, out / "cache", focus, banks, say)
+    train_set, heldout_set = training_sets(human, corpus, out / "cache", focus, banks, say, threads)
     stop = False
 
     def ask_to_stop(signum: int, frame: object) -> None:

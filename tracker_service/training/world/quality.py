@@ -25,16 +25,17 @@ def drift_mm(learner: Learner, replay: Replay, rng: np.random.Generator, count: 
     out = {}
     with torch.no_grad():
         places = replay.draw(rng, count, max(HORIZONS))
-        state = learner.state_at(replay, places.later(0))
+        at = learner.spots(places)
+        state = learner.state_at(replay, at.later(0))
         bodies = learner.kinematics(state)
         seat = learner.seats_at(replay, places)
         for tick in range(1, max(HORIZONS) + 1):
-            target = torch.from_numpy(replay.target[places.later(tick - 1)])
+            target = replay.target[at.later(tick - 1)]
             heights = learner.heights_of(bodies, seat)
             state = learner.model(state, bodies, target, heights)
             bodies = learner.kinematics(state)
             if tick in HORIZONS:
-                true = learner.kinematics(learner.state_at(replay, places.later(tick)))
+                true = learner.kinematics(learner.state_at(replay, at.later(tick)))
                 distance = (bodies.pos_w_m - true.pos_w_m).norm(dim=-1)
                 out[f"drift_mm_{tick}"] = 1e3 * float(distance.mean())
     return out
@@ -51,14 +52,14 @@ def response_cosine(
     """
     last = max(ticks)
     places = replay.draw(rng, count, last)
-    index = places.later(0)
+    index, at = places.later(0), learner.spots(places)
     count = len(places.slot)
-    targets = np.stack([replay.target[places.later(k)] for k in range(last)], axis=1).astype(np.float64)
+    targets = np.stack([_array(replay.target[at.later(k)]) for k in range(last)], axis=1)
     push = rng.choice([-1.0, 1.0], size=(count, env.hinges)) * PERTURBATION_RAD
     moved = targets.copy()
     moved[:, 0] += push
     seat = env.references.seat[replay.clip[index]]
-    qpos, qvel = replay.qpos[index].astype(np.float64), replay.qvel[index].astype(np.float64)
+    qpos, qvel = _array(replay.qpos[at.later(0)]), _array(replay.qvel[at.later(0)])
     real = [_simulated(env, qpos, qvel, t, seat) for t in (targets, moved)]
     imagined = [_imagined(learner, qpos, qvel, t, seat) for t in (targets, moved)]
     out = {}
@@ -70,6 +71,10 @@ def response_cosine(
         out[f"response_cosine_{tick}"] = float(np.median(cosine))
         out[f"response_ratio_{tick}"] = float(np.median(sizes[1] / np.maximum(sizes[0], 1e-12)))
     return out
+
+
+def _array(values: torch.Tensor) -> Floats:
+    return np.asarray(values.cpu().numpy(), dtype=np.float64)
 
 
 def _simulated(env: TrackingEnv, qpos: Floats, qvel: Floats, targets: Floats, seat: Floats) -> Floats:
@@ -89,11 +94,12 @@ def _simulated(env: TrackingEnv, qpos: Floats, qvel: Floats, targets: Floats, se
 @torch.no_grad()
 def _imagined(learner: Learner, qpos: Floats, qvel: Floats, targets: Floats, seat: Floats) -> Floats:
     """The same from the model."""
-    state = State.of(tensor(qpos), tensor(qvel))
-    bodies, seats = learner.kinematics(state), tensor(seat)
+    device = learner.device
+    state = State.of(tensor(qpos, device), tensor(qvel, device))
+    bodies, seats = learner.kinematics(state), tensor(seat, device)
     out = []
     for tick in range(targets.shape[1]):
-        state = learner.model(state, bodies, tensor(targets[:, tick]), learner.heights_of(bodies, seats))
+        state = learner.model(state, bodies, tensor(targets[:, tick], device), learner.heights_of(bodies, seats))
         bodies = learner.kinematics(state)
-        out.append(bodies.pos_w_m.numpy().astype(np.float64))
+        out.append(_array(bodies.pos_w_m))
     return np.stack(out, axis=1)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+import torch
+from torch import Tensor
 
 F32 = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int64]
@@ -25,24 +27,45 @@ class Places:
         return (self.slot + ticks) % self.capacity, self.env
 
 
+@dataclass(frozen=True)
+class Spots:
+    """`Places` as tensors where the networks are: copied there once, for each copy waits for all work before it."""
+
+    slot: Tensor
+    env: Tensor
+    capacity: int
+
+    @classmethod
+    def of(cls, places: Places, device: torch.device | str) -> Spots:
+        """Of places, on a device."""
+        return cls(torch.from_numpy(places.slot).to(device), torch.from_numpy(places.env).to(device), places.capacity)
+
+    def later(self, ticks: int) -> tuple[Tensor, Tensor]:
+        """Index of the places some ticks later."""
+        return (self.slot + ticks) % self.capacity, self.env
+
+
 class Replay:
     """The last `capacity` ticks of B environments; D observation size, H hinges.
 
+    What the networks read is where they are, on `device`; what places are drawn by stays with the processor.
+
     Attributes:
-        qpos, qvel, target, action, previous_action, observation, reward, jump_m: before the tick; the reward is the
-            tick's. clip, time: what was followed.
+        qpos, qvel, target, previous_action, observation, jump_m: before the tick, tensors. reward: the tick's.
+        clip, time: what was followed.
         cut: whether the next row does not follow from this one. terminated: whether the episode failed in this tick.
     """
 
-    def __init__(self, capacity: int, envs: int, observation: int, hinges: int):
+    def __init__(self, capacity: int, envs: int, observation: int, hinges: int, device: torch.device | str = "cpu"):
         self.capacity, self.envs = capacity, envs
         shape = (capacity, envs)
-        self.qpos = np.zeros((*shape, 7 + hinges), np.float32)
-        self.qvel = np.zeros((*shape, 6 + hinges), np.float32)
-        self.target = np.zeros((*shape, hinges), np.float32)
-        self.previous_action = np.zeros((*shape, hinges), np.float16)
-        self.observation = np.zeros((*shape, observation), np.float32)
-        self.jump_m = np.zeros((*shape, 2), np.float32)
+
+        def kept(size: int, dtype: torch.dtype = torch.float32) -> Tensor:
+            return torch.zeros((*shape, size), dtype=dtype, device=device)
+
+        self.qpos, self.qvel = kept(7 + hinges), kept(6 + hinges)
+        self.target, self.previous_action = kept(hinges), kept(hinges, torch.float16)
+        self.observation, self.jump_m = kept(observation), kept(2)
         self.reward = np.zeros(shape, np.float32)
         self.clip = np.zeros(shape, np.int64)
         self.time = np.zeros(shape, np.int64)
@@ -50,6 +73,12 @@ class Replay:
         self.terminated = np.zeros(shape, bool)
         self.head = 0
         self.filled = 0
+
+    def put(self, **rows: npt.NDArray[np.generic]) -> None:
+        """Values (B, ...) of the row at `head`, by the names of the attributes."""
+        for name, values in rows.items():
+            kept = getattr(self, name)
+            kept[self.head] = torch.from_numpy(values) if isinstance(kept, Tensor) else values
 
     def forward(self) -> None:
         """The row at `head` is complete; go on to the next."""

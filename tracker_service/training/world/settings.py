@@ -13,7 +13,7 @@ class WorldSettings(BaseModel):
         buffer_ticks: rows of the replay ring. collect_ticks: simulated ticks of all environments an iteration.
         model_updates, model_batch, model_ticks: fitting of the model over windows.
         critic_updates, critic_batch, critic_ticks: n-step returns from the ring.
-        policy_batch, horizon, recent_ticks: imagined rollouts that start from the last so many rows.
+        policy_updates, policy_batch, horizon, recent_ticks: imagined rollouts that start from the last so many rows.
         spread: of exploration noise; environments explore with 0, 1/2, 1 and 2 times that.
         averaging: share of the weights' running average that an update leaves.
         smoothness: cost of changing the action from tick to tick. power: cost of mechanical power in kW.
@@ -33,6 +33,7 @@ class WorldSettings(BaseModel):
     critic_updates: int = Field(default=2, ge=1)
     critic_batch: int = Field(default=2048, ge=8)
     critic_ticks: int = Field(default=12, ge=1)
+    policy_updates: int = Field(default=1, ge=1)
     policy_batch: int = Field(default=512, ge=8)
     horizon: int = Field(default=12, ge=1)
     recent_ticks: int = Field(default=240, ge=16)

@@ -59,7 +59,8 @@ class WorldTrainer:
         self.env = TrackingEnv(human, train_set, env_settings, seed)
         heights = HEIGHTS if env_settings.heights else 0
         self.learner = Learner(human, train_set, env_settings, settings, self.env.observation_size, heights, device)
-        self.replay = Replay(settings.buffer_ticks, env_settings.envs, self.env.observation_size, self.env.hinges)
+        size, hinges = self.env.observation_size, self.env.hinges
+        self.replay = Replay(settings.buffer_ticks, env_settings.envs, size, hinges, device)
         self.rng = np.random.default_rng(seed + 1)
         self.samples = self.iteration = 0
         self.seconds = 0.0
@@ -77,18 +78,16 @@ class WorldTrainer:
         ended = survived = exploded = 0
         errors = []
         for _ in range(ticks):
-            row = ring.head
-            ring.qpos[row], ring.qvel[row] = env.qpos, env.qvel
-            ring.clip[row], ring.time[row], ring.jump_m[row] = env.clip, env.time, env.jump_m
-            ring.observation[row], ring.previous_action[row] = self.observation, env.previous_action
+            ring.put(qpos=env.qpos, qvel=env.qvel, clip=env.clip, time=env.time, jump_m=env.jump_m)
+            ring.put(observation=self.observation, previous_action=env.previous_action)
             mean = self.learner.act(self.observation)
             action = mean + self._noise * self.rng.standard_normal(mean.shape, dtype=np.float32)
-            ring.target[row] = env.targets(action)
+            ring.put(target=env.targets(action))
             result = env.step(action)
             failed = result.terminated | result.exploded
             cut = failed | result.truncated
             cut[result.disturbed] = True
-            ring.reward[row], ring.cut[row], ring.terminated[row] = result.reward, cut, failed
+            ring.put(reward=result.reward, cut=cut, terminated=failed)
             ring.forward()
             self.observation = result.observation
             self.samples += env.settings.envs
@@ -128,7 +127,8 @@ class WorldTrainer:
         for _ in range(s.critic_updates):
             facts |= learner.update_critic(self.replay, self.rng)
         clock.append(time.monotonic())
-        facts |= learner.update_policy(self.replay, self.rng)
+        for _ in range(s.policy_updates):
+            facts |= learner.update_policy(self.replay, self.rng)
         clock.append(time.monotonic())
         names = ("collect_s", "model_s", "critic_s", "policy_s")
         facts |= {name: b - a for name, a, b in zip(names, clock[:-1], clock[1:], strict=True)}
@@ -200,7 +200,7 @@ class WorldTrainer:
             "observation": torch.from_numpy(self.observation.copy()),
         }
         ring_path, partial = path.with_name("replay.npz"), path.with_name("replay.partial.npz")
-        arrays = {name: getattr(ring, name) for name in _RING_ARRAYS}
+        arrays: dict[str, Any] = {name: _numpy(getattr(ring, name)) for name in _RING_ARRAYS}
         np.savez(partial, iteration=self.iteration, place=np.array([ring.head, ring.filled]), **arrays)
         torch.save(state, path.with_suffix(".partial"))
         partial.replace(ring_path)
@@ -209,7 +209,8 @@ class WorldTrainer:
     def load(self, path: Path, say: Callable[[str], None] = print) -> None:
         """Go on from a checkpoint. With other clips or environments these and the ring begin anew; failure rates of
         clips that are still there are kept."""
-        state = torch.load(path, weights_only=True, map_location=self.learner.device)
+        # To the processor: networks and optimisers take what is theirs to where they are, Adam's counts stay here.
+        state = torch.load(path, weights_only=True, map_location="cpu")
         for name, module in self.learner.modules().items():
             module.load_state_dict(state["modules"][name])
         for name, optimizer in self.learner.optimizers.items():
@@ -226,15 +227,15 @@ class WorldTrainer:
             self.observation = env.reset_all()
             return
         for name in _ENV_ARRAYS:
-            setattr(env, name, state["env"][name].cpu().numpy().copy())
+            setattr(env, name, state["env"][name].numpy().copy())
         self.rng.bit_generator.state, env.rng.bit_generator.state = json.loads(state["rng"])
         env.moved()
-        self.observation = state["observation"].cpu().numpy().copy()
+        self.observation = state["observation"].numpy().copy()
         self._take_ring(path.with_name("replay.npz"), say)
 
     def _take_failures(self, state: dict[str, Any]) -> None:
         table = self.env.failures
-        old_rates, first = state["failures"].cpu().numpy(), 0
+        old_rates, first = state["failures"].numpy(), 0
         old: dict[str, npt.NDArray[np.float64]] = {}
         for name, bins in zip(state["clip_names"], state["failure_bins"].tolist(), strict=True):
             old[name] = old_rates[first : first + bins]
@@ -252,7 +253,8 @@ class WorldTrainer:
                     say("the replay ring beside the checkpoint belongs to another one: filled anew")
                     return
                 for name in _RING_ARRAYS:
-                    getattr(ring, name)[:] = data[name]
+                    kept = getattr(ring, name)
+                    kept[:] = torch.from_numpy(data[name]) if isinstance(kept, torch.Tensor) else data[name]
                 ring.head, ring.filled = (int(v) for v in data["place"])
         except FileNotFoundError:
             say("no replay ring beside the checkpoint: filled anew")
@@ -260,6 +262,10 @@ class WorldTrainer:
         except (OSError, ValueError) as error:
             raise InvalidInputError(f"{path.name} cannot be read: {error}", field="out") from error
         self.ready = True
+
+
+def _numpy(kept: torch.Tensor | npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+    return np.asarray(kept.cpu().numpy() if isinstance(kept, torch.Tensor) else kept)
 
 
 def _means(rows: list[dict[str, float]]) -> dict[str, float]:
