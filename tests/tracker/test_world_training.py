@@ -19,6 +19,7 @@ from tracker_service.simulation.scene import build_scene
 from tracker_service.training.dataset import MotionInput, ReferenceSet, prepare
 from tracker_service.training.env import EnvSettings, TrackingEnv
 from tracker_service.training.sampling import FailureTable
+from tracker_service.training.seats import HEIGHTS
 from tracker_service.training.world.body import State, tensor
 from tracker_service.training.world.learner import Learner
 from tracker_service.training.world.quality import drift_mm, response_cosine
@@ -113,6 +114,23 @@ def test_the_critic_explains_returns(references: ReferenceSet, tmp_path: Path) -
     t.prepare(lambda line: None, fresh_sight=True, fresh_model=True)
     losses = [t.learner.update_critic(t.replay, t.rng)["critic_loss"] for _ in range(200)]
     assert np.mean(losses[-20:]) < 0.5 * np.mean(losses[:20])
+
+
+def test_updates_are_done_where_the_networks_are(references: ReferenceSet, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Meta tensors stand for a graphics card's: an operation that meets one of the processor's fails.
+    for name in ("__float__", "item"):
+        monkeypatch.setattr(torch.Tensor, name, lambda self: 0.5)
+    env = TrackingEnv(HUMAN, references, SMALL.model_copy(update={"heights": True}), seed=0)
+    env.reset_all()
+    learner = Learner(HUMAN, references, env.settings, TINY, env.observation_size, HEIGHTS, "meta")
+    ring = Replay(TINY.buffer_ticks, SMALL.envs, env.observation_size, env.hinges, "meta")
+    for _ in range(TINY.buffer_ticks):
+        ring.put(clip=env.clip, time=env.time, cut=np.zeros(SMALL.envs, bool))
+        ring.forward()
+    rng = np.random.default_rng(0)
+    learner.take_normalisation(ring, rng, True, True)
+    facts = learner.update_model(ring, rng) | learner.update_critic(ring, rng) | learner.update_policy(ring, rng)
+    assert {"model_loss", "critic_loss", "imagined_worth"} <= set(facts)
 
 
 def test_resume_is_exact(references: ReferenceSet, tmp_path: Path) -> None:
