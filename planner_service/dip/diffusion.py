@@ -6,14 +6,14 @@ Few steps, fixed small posterior variance, no noise at the last step (REFERENCE 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
 
-Denoiser = Callable[[Tensor, Tensor], Tensor]
-"""(noisy (B, N, F), step (B,)) -> predicted x0 (B, N, F)."""
+Denoiser = Callable[[Tensor, int], Tensor]
+"""(noisy (B, N, F), number of the step) -> predicted x0 (B, N, F)."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +46,30 @@ def cosine_schedule(steps: int, offset: float = 0.008, max_beta: float = 0.999) 
     beta = torch.tensor(
         [min(1 - level((i + 1) / steps) / level(i / steps), max_beta) for i in range(steps)], dtype=torch.float64
     )
-    alpha_bar = torch.cumprod(1 - beta, dim=0)
+    return _schedule(torch.cumprod(1 - beta, dim=0))
+
+
+def respaced(schedule: Schedule, numbers: Sequence[int]) -> Schedule:
+    """The schedule that visits only these of the steps (rising): same noise levels, longer ways between them."""
+    return _schedule(schedule.alpha_bar[list(numbers)].double())
+
+
+def spread_steps(steps: int, count: int) -> list[int]:
+    """`count` of the numbers 0 .. steps - 1, evenly, with both ends; the last alone for a count of one."""
+    if count == 1:
+        return [steps - 1]
+    return [round(i * (steps - 1) / (count - 1)) for i in range(count)]
+
+
+def _schedule(alpha_bar: Tensor) -> Schedule:
+    """From float64 levels, falling."""
     before = torch.cat([torch.ones(1, dtype=torch.float64), alpha_bar[:-1]])
+    kept = alpha_bar / before
+    beta = 1 - kept
     return Schedule(
         alpha_bar=alpha_bar.float(),
         x0_weight=(beta * before.sqrt() / (1 - alpha_bar)).float(),
-        xt_weight=((1 - before) * (1 - beta).sqrt() / (1 - alpha_bar)).float(),
+        xt_weight=((1 - before) * kept.sqrt() / (1 - alpha_bar)).float(),
         sigma=(beta * (1 - before) / (1 - alpha_bar)).sqrt().float(),
     )
 
@@ -72,7 +90,7 @@ def sample(schedule: Schedule, denoise: Denoiser, noise: Tensor) -> Tensor:
 
     Args:
         schedule: the diffusion's constants.
-        denoise: the (guided) network.
+        denoise: the (guided) network, told the number of the step within this schedule.
         noise: (steps, B, N, F) standard normal: row 0 is x_T, row i the noise added after the i-th network call.
 
     Returns:
@@ -80,8 +98,7 @@ def sample(schedule: Schedule, denoise: Denoiser, noise: Tensor) -> Tensor:
     """
     x = noise[0]
     for i, number in enumerate(reversed(range(schedule.steps))):
-        step = torch.full((x.shape[0],), number, dtype=torch.int64)
-        x0 = denoise(x, step)
+        x0 = denoise(x, number)
         if number == 0:
             return x0
         x = schedule.x0_weight[number] * x0 + schedule.xt_weight[number] * x + schedule.sigma[number] * noise[i + 1]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from copy import deepcopy
 
 import torch
 from torch import Tensor, nn
@@ -30,7 +29,7 @@ class Attention(nn.Module):
     """Multi-head attention.
 
     Written out: for 60 tokens on a CPU the fused kernel's backward pass takes six times as long
-    (docs/experiments_planner.md).
+    (docs/experiments_planner.md). Plans are made by `folded.FoldedDip`, which uses the kernel.
     """
 
     def __init__(self, width: int, heads: int):
@@ -215,18 +214,6 @@ def whiten_text(network: DipNetwork, pooled: Tensor, damping: float = 0.1) -> No
     network.text_mean.copy_(mean)
     network.text_whitening.zero_()
     network.text_whitening[:, : columns.shape[1]] = columns
-
-
-def with_bf16_blocks(network: DipNetwork) -> DipNetwork:
-    """A copy whose transformer blocks multiply in bfloat16; to be run under `torch.autocast("cpu", torch.bfloat16)`.
-
-    Half the time on a CPU with AVX512-BF16, slower on one without.
-    """
-    copy = deepcopy(network)
-    for module in copy.layers.modules():
-        if isinstance(module, nn.Linear):
-            module.to(torch.bfloat16)
-    return copy
 
 
 def parameter_count(model: nn.Module) -> int:

@@ -16,10 +16,11 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
+from planner_service.dip.blocks import TorchBlocks
 from planner_service.dip.conditions import JOINT_SLOTS
-from planner_service.dip.diffusion import cosine_schedule, sample
+from planner_service.dip.diffusion import cosine_schedule, respaced, sample, spread_steps
 from planner_service.dip.feet import with_planted_feet
-from planner_service.dip.network import with_bf16_blocks
+from planner_service.dip.folded import Conditions, FoldedDip
 from planner_service.dip.weights import SHIPPED, DipWeights, load_weights
 from planner_service.dip.wishes import Wishes, read_wishes
 from planner_service.text.encoder import CachedTextEncoder, TextEncoder, pad_tokens
@@ -57,6 +58,7 @@ class DipSettings(BaseModel):
         step_m: a target farther than this (on the floor, from the root) is moved toward the root: what running covers
             in a full plan; proportionally less for earlier arrivals. Callers who want a natural walk hand over nearer
             targets (REFERENCE 3: 1.2 m a plan).
+        steps: how many of the diffusion's steps are taken, spread evenly over them; None: all that were trained.
         bf16: multiply in bfloat16; None: where the CPU has instructions for it (plans differ by rounding).
     """
 
@@ -66,6 +68,7 @@ class DipSettings(BaseModel):
     coarse_guidance: float = Field(2.5, ge=0)
     coarse_steps: int = Field(3, ge=0)
     step_m: float = Field(5.0, gt=0)
+    steps: int | None = Field(None, ge=1)
     bf16: bool | None = None
 
 
@@ -98,9 +101,10 @@ class DipPlanner:
         self._known = known
         self._settings = settings or DipSettings()
         wanted = self._settings.bf16
-        self._bf16 = bf16_pays() if wanted is None else wanted
-        self._network = with_bf16_blocks(weights.network) if self._bf16 else weights.network
-        self._schedule = cosine_schedule(self._config.steps)
+        bf16 = bf16_pays() if wanted is None else wanted
+        self._dip = FoldedDip(weights.network, TorchBlocks(weights.network, bf16))
+        self._steps = _steps(self._config.steps, self._settings.steps)
+        self._schedule = respaced(cosine_schedule(self._config.steps), self._steps)
         self._weights_id = weights.sha256[:12]
         self._spec = PlannerSpec(
             name="dip",
@@ -197,7 +201,7 @@ class DipPlanner:
     def _noise(self, seed: int) -> Tensor:
         """(steps, N, F) of one request: its own generator, so that a batch does not change a plan."""
         generator = torch.Generator().manual_seed(seed)
-        shape = (self._config.steps, self._config.plan_frames, self._config.features)
+        shape = (len(self._steps), self._config.plan_frames, self._config.features)
         return torch.randn(shape, generator=generator)
 
     def _denormalized(
@@ -206,23 +210,17 @@ class DipPlanner:
         """(B, N, F) features of guided samples; rows that need it run twice in one batch, with and without text."""
         mask = mask & (guidance != 0.0)[:, None]  # a guidance of zero: the text does not count at all
         both = torch.nonzero(mask.any(-1) & (guidance != 1.0)).flatten()
-        rows = torch.cat([torch.arange(len(mask)), both])
-        all_mask = torch.cat([mask, torch.zeros_like(mask[both])])
-        all_prefix, all_targets, all_text = prefix[rows], wishes.targets[rows], text[rows]
-        keyframes = None if wishes.keyframes is None else wishes.keyframes[rows]
-        velocity = None if wishes.velocity is None else wishes.velocity[rows]
         fine = guidance[both][:, None, None]
         coarse = fine.clamp(max=self._settings.coarse_guidance)
         first_fine = self._config.steps - self._settings.coarse_steps
-        with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, enabled=self._bf16):
+        with torch.inference_mode():
+            given = Conditions(prefix, wishes.targets, text, mask, wishes.keyframes, wishes.velocity)
+            state = self._dip.begin(given, both, self._steps)
 
-            def denoise(x: Tensor, step: Tensor) -> Tensor:
-                out: Tensor = self._network(
-                    x[rows], step[rows], all_prefix, all_targets, all_text, all_mask, keyframes, velocity
-                )
-                guided = out[: len(mask)].clone()
-                free = out[len(mask) :]
-                scale = fine if int(step[0]) < first_fine else coarse
+            def denoise(x: Tensor, position: int) -> Tensor:
+                out = self._dip.denoise(state, x, position)
+                guided, free = out[: len(mask)], out[len(mask) :]
+                scale = fine if self._steps[position] < first_fine else coarse
                 guided[both] = free + scale * (guided[both] - free)
                 return guided
 
@@ -249,3 +247,10 @@ class DipPlanner:
             ignored_conditions=ignored,
             guidance=guidance if request.text is not None else None,
         )
+
+
+def _steps(trained: int, wanted: int | None) -> list[int]:
+    """Numbers of the steps to take, rising."""
+    if wanted is not None and wanted > trained:
+        raise InvalidInputError(f"{wanted} diffusion steps", field="steps", allowed=f"1..{trained}")
+    return spread_steps(trained, wanted or trained)

@@ -9,7 +9,7 @@ import torch
 
 from planner_service.dip.conditions import TARGET_NUMBERS
 from planner_service.dip.config import preset
-from planner_service.dip.diffusion import add_noise, cosine_schedule, sample
+from planner_service.dip.diffusion import add_noise, cosine_schedule, respaced, sample, spread_steps
 from planner_service.dip.network import DipNetwork, parameter_count, whiten_text
 from shared.errors import InvalidInputError
 
@@ -36,6 +36,23 @@ def test_posterior_of_one_middle_step_by_hand() -> None:
     assert abs(float(schedule.sigma[1]) ** 2 - beta * (1 - a0) / (1 - a1)) < 1e-6
 
 
+def test_fewer_steps_have_the_noise_levels_of_those_they_are_and_the_way_between_them() -> None:
+    every = cosine_schedule(10)
+    some = respaced(every, [0, 4, 9])
+    torch.testing.assert_close(some.alpha_bar, every.alpha_bar[[0, 4, 9]])
+    a0, a4 = float(every.alpha_bar[0]), float(every.alpha_bar[4])
+    assert abs(float(some.xt_weight[1]) - math.sqrt(a4 / a0) * (1 - a0) / (1 - a4)) < 1e-6
+    assert abs(float(some.x0_weight[1]) - math.sqrt(a0) * (1 - a4 / a0) / (1 - a4)) < 1e-6
+    for field in ("x0_weight", "xt_weight", "sigma"):
+        torch.testing.assert_close(getattr(respaced(every, range(10)), field), getattr(every, field))
+
+
+def test_steps_are_spread_from_the_noisiest_to_the_cleanest() -> None:
+    assert spread_steps(10, 10) == list(range(10))
+    assert spread_steps(10, 4) == [0, 3, 6, 9]
+    assert spread_steps(10, 1) == [9], "from pure noise, or what comes out is no plan"
+
+
 def test_noise_keeps_unit_variance() -> None:
     schedule = cosine_schedule(10)
     generator = torch.Generator().manual_seed(0)
@@ -48,8 +65,8 @@ def test_sampler_ends_at_what_the_denoiser_says() -> None:
     target = torch.randn(2, 40, 263)
     seen = []
 
-    def denoise(x: torch.Tensor, step: torch.Tensor) -> torch.Tensor:
-        seen.append(int(step[0]))
+    def denoise(x: torch.Tensor, step: int) -> torch.Tensor:
+        seen.append(step)
         return target
 
     out = sample(cosine_schedule(10), denoise, torch.randn(10, 2, 40, 263))

@@ -96,6 +96,18 @@ def test_the_noisiest_steps_are_guided_less(weights: Path) -> None:
     np.testing.assert_allclose(plan(4, 0.5, 1.5), plan(0, 0.5), atol=1e-5)
 
 
+def test_fewer_steps_make_a_plan_and_more_than_were_trained_are_refused(weights: Path) -> None:
+    def plan(steps: int | None) -> np.ndarray:
+        own = DipPlanner(load_weights(weights), HashEncoder(), DipSettings(bf16=False, steps=steps))
+        return own.plan([request()])[0].positions_w_m
+
+    np.testing.assert_array_equal(plan(10), plan(None))
+    assert np.abs(plan(4) - plan(10)).max() > 1e-5
+    with pytest.raises(InvalidInputError) as caught:
+        plan(11)
+    assert caught.value.field == "steps"
+
+
 def test_targets_are_not_guided_away_from(planner: DipPlanner) -> None:
     target = JointTarget(joint="traj", position_w_m=(1.0, 0.0, 0.0), arrival_tick=90)
     default = planner.plan([request(targets=[target])])[0].positions_w_m
