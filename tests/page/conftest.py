@@ -42,8 +42,11 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture
-def context(browser: Browser) -> Iterator[BrowserContext]:
-    """A fresh profile; afterwards: no error on the console, no request to another host."""
+def context(browser: Browser, http: httpx.Client) -> Iterator[BrowserContext]:
+    """A fresh profile; afterwards: no error on the console, no request to another host.
+
+    It is closed before `http` takes the characters away: a page that loses its character makes another.
+    """
     context = browser.new_context(viewport={"width": 1000, "height": 640}, accept_downloads=True)
     context.set_default_timeout(WAIT_MS)
     errors: list[str] = []
@@ -61,7 +64,7 @@ def context(browser: Browser) -> Iterator[BrowserContext]:
 
 
 @pytest.fixture
-def page(context: BrowserContext, stack: Stack, http: httpx.Client) -> Page:
+def page(context: BrowserContext, stack: Stack) -> Page:
     """The page, showing a character of its own that runs by the clock."""
     page = context.new_page()
     page.goto(stack.url)

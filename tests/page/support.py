@@ -12,8 +12,9 @@ from orchestrator.core.supervise import Stack
 from tests.orchestrator.support import light
 from tests.planner_service.motion import write_library
 
-WAIT_MS = 60_000
+WAIT_MS = 150_000
 """How long anything may take before the test gives up; nothing is measured by it."""
+TRIES = 20
 
 
 def page_stack(folder: Path, token: str | None = None) -> Stack:
@@ -47,12 +48,80 @@ def say(page: Page, words: str) -> None:
     page.keyboard.press("Enter")
 
 
+def note(page: Page, topic: str, expression: str) -> None:
+    """From now on keep every value of an expression over `m` when the page tells its parts of `topic`; see `noted`.
+
+    What is true for a moment only is missed by `until`, which looks as often as the page is drawn.
+    """
+    page.evaluate(
+        f"""async () => {{
+            const {{ on }} = await import("/web/js/store.js");
+            const m = window.motionloop;
+            const kept = ((window.noted ??= {{}})["{topic}"] = []);
+            on("{topic}", () => {{
+                const value = {expression};
+                if (kept.length === 0 || kept.at(-1) !== value) kept.push(value);
+            }});
+        }}"""
+    )
+
+
+def noted(page: Page, topic: str) -> list[Any]:
+    """The values kept since `note`, without repetitions in a row."""
+    return list(page.evaluate("(topic) => window.noted[topic]", topic))
+
+
+def hold_clock(page: Page) -> int:
+    """Pause, and wait until the body is drawn where it has stopped; returns the tick."""
+    page.get_by_role("button", name="Pause").click()
+    held = until(page, "m.view.frame.paused && { tick: m.tick }")["tick"]
+    until(page, "Math.hypot(...m.drawn_pelvis_m.map((v, i) => v - m.pelvis_m[i])) < 1e-3")
+    return int(held)
+
+
+def hold_view(page: Page) -> None:
+    """Stop the camera from following: from then on a point of the world stays at its pixel."""
+    follow = page.get_by_role("button", name="Follow")
+    if follow.get_attribute("aria-pressed") == "true":
+        follow.click()
+    until(page, "m.still")
+
+
 def point_at(page: Page, position_m: list[float]) -> tuple[float, float]:
-    """Pixels of a point of the world; it must be in view."""
+    """Pixels of a point of the world, as last drawn; it must be in view."""
     place = look(page, "m.screenOf(a)", position_m)
     covering = "(place) => document.elementFromPoint(place.x, place.y)?.id"
     assert page.evaluate(covering, place) == "view", "something covers this point of the view"
     return place["x"], place["y"]
+
+
+def press(
+    page: Page, where: str, kind: str, joint: str | None = None, beside_px: tuple[float, float] = (0.0, 0.0)
+) -> tuple[float, float]:
+    """Press the mouse on a point of the world, an expression over `m`, and see that the page holds what was meant.
+
+    The page draws when it can, and what is aimed at may have moved by the time of the press: one that took something
+    else is given up (Escape, so that it means nothing) and tried again. Returns the pixel.
+    """
+    held = None
+    for _ in range(TRIES):
+        x, y = point_at(page, until(page, where))
+        x, y = x + beside_px[0], y + beside_px[1]
+        page.mouse.move(x, y)
+        page.mouse.down()
+        held = look(page, "m.held")
+        if held is not None and held["kind"] == kind and joint in (None, held["joint"]):
+            return x, y
+        page.keyboard.press("Escape")
+        page.mouse.up()
+        until(page, "m.held === null")
+    raise AssertionError(f"the press on {where} took {held}, not {kind} {joint or ''}")
+
+
+def click(page: Page, where: str, kind: str, joint: str | None = None) -> None:
+    """Press as above, and let go."""
+    press(page, where, kind, joint)
+    page.mouse.up()
 
 
 def open_tab(page: Page, name: str) -> None:

@@ -15,9 +15,29 @@ from orchestrator.core.supervise import Stack
 from shared.motion.io.bvh import read_bvh
 from shared.motion.skeleton import CANONICAL
 from tests.orchestrator.support import play
-from tests.page.support import look, open_tab, page_stack, point_at, ready, say, until
+from tests.page.support import (
+    click,
+    hold_clock,
+    hold_view,
+    look,
+    note,
+    noted,
+    open_tab,
+    page_stack,
+    press,
+    ready,
+    say,
+    until,
+)
 
-pytestmark = [pytest.mark.page, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.page, pytest.mark.timeout(900)]
+
+TARGET_DRAWN = (
+    "m.drawn_target_m && m.target && m.drawn_target_m"
+    ".every((v, i) => i === (m.target.joint === 'traj' ? 2 : 3) || Math.abs(v - m.target.position_m[i]) < 1e-3)"
+    " && m.drawn_target_m"
+)
+"""Where the marker was drawn, once that is where the target is (the height of a ring is 0)."""
 
 
 def test_a_typed_command_moves_the_pelvis_that_the_page_shows(page: Page) -> None:
@@ -36,8 +56,8 @@ def test_a_typed_command_moves_the_pelvis_that_the_page_shows(page: Page) -> Non
 
 def test_a_click_on_the_floor_is_a_target_and_it_is_reached(page: Page) -> None:
     """Tracker `kinematic`: it performs the plan as it is, so that a fall cannot keep the page from being tested."""
-    x, y = point_at(page, [0.6, 0.9, 0.0])
-    page.mouse.click(x, y)
+    hold_view(page)
+    click(page, "[0.6, 0.9, 0.0]", "view")
     target = until(page, "m.target")
     assert target["joint"] == "traj"
     assert dist(target["position_m"], (0.6, 0.9, 0.0)) < 0.05
@@ -46,34 +66,52 @@ def test_a_click_on_the_floor_is_a_target_and_it_is_reached(page: Page) -> None:
 
 
 def test_a_clicked_hand_gets_the_next_target(page: Page) -> None:
-    until(page, "m.view.frame !== null")
-    # Camera and body may still be moving: a click that missed the hand is tried again where it has come to rest.
-    for _ in range(8):
-        place, before = point_at(page, look(page, "m.joint_m('right_wrist')")), (0.0, 0.0)
-        while dist(place, before) > 1.0:
-            page.wait_for_timeout(300)
-            place, before = point_at(page, look(page, "m.joint_m('right_wrist')")), place
-        page.mouse.click(*place)
-        page.wait_for_timeout(500)
-        if look(page, "m.view.picked") == "right_wrist":
-            break
-    assert look(page, "m.view.picked") == "right_wrist"
-    x, y = point_at(page, [0.5, 0.8, 0.0])
-    page.mouse.click(x, y)
+    hold_clock(page)
+    hold_view(page)
+    click(page, "m.drawn_m('right_wrist')", "body", "right_wrist")
+    until(page, "m.view.picked === 'right_wrist'")
+    click(page, "[0.5, 0.8, 0.0]", "view")
     target = until(page, "m.target && m.target.joint === 'right_wrist' && m.target")
     assert dist(target["position_m"][:2], (0.5, 0.8)) < 0.05
     assert look(page, "m.view.picked") is None
-    # The ball of a joint's target is dragged in the plane that faces the viewer.
-    start = point_at(page, target["position_m"])
-    page.mouse.move(*start)
-    page.mouse.down()
-    page.mouse.move(start[0], start[1] - 30, steps=2)
+    # The ball of a joint's target is dragged in the plane that faces the viewer, once it is drawn where it is.
+    x, y = press(page, TARGET_DRAWN, "target", "right_wrist")
+    page.mouse.move(x, y - 30, steps=2)
     # It steers while it is dragged, and not only where it is let go.
     steered = until(page, "m.target.position_m[2] > a + 0.02 && m.target", target["position_m"][2])
-    page.mouse.move(start[0], start[1] - 60, steps=2)
+    page.mouse.move(x, y - 60, steps=2)
     page.mouse.up()
     moved = until(page, "m.target.position_m[2] > a + 0.03 && m.target", steered["position_m"][2])
     assert moved["joint"] == "right_wrist"
+
+
+def test_a_press_beside_a_distant_hand_takes_it(page: Page) -> None:
+    hold_clock(page)
+    for _ in range(12):
+        page.locator("#view").press("-")
+    hold_view(page)
+    press(page, "m.drawn_m('right_wrist')", "body", "right_wrist", beside_px=(-9.0, 0.0))
+    page.mouse.up()
+    until(page, "m.view.picked === 'right_wrist'")
+    press(page, "m.drawn_m('right_wrist')", "view", beside_px=(-60.0, 0.0))
+    page.keyboard.press("Escape")
+    page.mouse.up()
+
+
+def test_the_view_holds_still_while_a_target_is_held(page: Page, http: httpx.Client) -> None:
+    """The character walks and the camera would go with it; the ring stays under the hand that holds it."""
+    path = f"/v1/characters/{look(page, 'm.view.watching.id')}"
+    hold_clock(page)
+    command = {"target": {"joint": "traj", "position_m": [1.1, 0.5, 0.0]}}
+    http.post(f"{path}/commands", json=command).raise_for_status()
+    press(page, TARGET_DRAWN, "target", "traj")
+    until(page, "m.still")
+    before, corner = look(page, "m.pelvis_m"), look(page, "m.screenOf([0, 0, 0])")
+    http.post(f"{path}/resume").raise_for_status()
+    until(page, "Math.hypot(m.drawn_pelvis_m[0] - a[0], m.drawn_pelvis_m[1] - a[1]) > 0.5", before)
+    assert look(page, "m.screenOf([0, 0, 0])") == pytest.approx(corner, abs=0.1)
+    page.mouse.up()
+    until(page, "Math.hypot(m.screenOf([0, 0, 0]).x - a.x, m.screenOf([0, 0, 0]).y - a.y) > 10", corner)
 
 
 def test_dragging_the_body_pushes_it_in_that_direction(
@@ -87,13 +125,10 @@ def test_dragging_the_body_pushes_it_in_that_direction(
     ready(page)
     assert look(page, "m.view.watching.id") == character
     # The clock is held and then stepped, so that it does not matter how long this machine takes for the drag.
-    page.get_by_role("button", name="Pause").click()
-    held = until(page, "m.view.frame.paused && m.tick")
+    held = hold_clock(page)
+    hold_view(page)
     still = look(page, "m.joint_m('spine3')")
-    until(page, "Math.hypot(...m.drawn_pelvis_m.map((v, i) => v - m.pelvis_m[i])) < 1e-3")
-    x, y = point_at(page, still)
-    page.mouse.move(x, y)
-    page.mouse.down()
+    x, y = press(page, "m.drawn_m('spine3')", "body")
     page.mouse.move(x + 200, y, steps=5)
     page.mouse.up()
     push = np.array(until(page, "m.view.events.find((event) => event.type === 'impulse')")["data"]["impulse_ns"])
@@ -108,8 +143,7 @@ def test_dragging_the_body_pushes_it_in_that_direction(
 
 
 def test_pause_step_and_resume(page: Page) -> None:
-    page.get_by_role("button", name="Pause").click()
-    held = until(page, "m.view.frame.paused && m.tick")
+    held = hold_clock(page)
     page.get_by_role("button", name="Step").click()
     # A step may pass through a plan's boundary (a frame of its own); all of it is shown as paused.
     until(page, "m.view.events.some((event) => event.type === 'stepped') && m.tick >= a", held + 3)
@@ -185,11 +219,14 @@ def test_an_episode_is_built_run_and_watched(page: Page, http: httpx.Client) -> 
     page.get_by_role("button", name="Add Walk to a point").click()
     page.get_by_role("button", name="Move Walk to a point up").click()
     page.get_by_label("Ahead, m").fill("0.8")
+    note(page, "watching", "m.view.watching.kind")
+    note(page, "frame", "m.view.frame?.status")
+    note(page, "command", "m.view.task?.task ?? null")
     page.get_by_role("button", name="Run the episode").click()
-    until(page, "m.view.watching.kind === 'episode' && m.view.frame?.status === 'acting'")
-    assert "walk" in str(page.locator("#doing").text_content()) or look(page, "m.view.task.task") == "reach"
-    until(page, "m.view.task?.task === 'halt'")
-    until(page, "m.view.watching.kind === 'character'")
+    until(page, "window.noted.watching.length === 2")
+    assert noted(page, "watching") == ["episode", "character"]
+    assert [task for task in noted(page, "command") if task is not None] == ["reach", "halt"]
+    assert "acting" in noted(page, "frame")
     newest = http.get("/v1/episodes").json()["items"][0]
     assert [task["type"] for task in newest["spec"]["tasks"]] == ["reach", "halt"]
     assert newest["status"] == "finished"
@@ -198,7 +235,7 @@ def test_an_episode_is_built_run_and_watched(page: Page, http: httpx.Client) -> 
 
 def test_what_was_recorded_of_a_character_is_downloaded(page: Page, tmp_path: Path) -> None:
     page.get_by_role("button", name="Record").click()
-    start = until(page, "m.view.recording !== null && m.view.recording.startTick")
+    start = until(page, "m.view.recording")["startTick"]
     say(page, "walk forward")
     until(page, "m.tick > a + 45", start)
     page.locator("#record").click()
@@ -257,10 +294,13 @@ def test_the_objects_of_the_scene_are_drawn_where_they_are(
     page.goto(stack.url)
     ready(page)
     until(page, "Object.keys(m.drawn_objects).length === 2")
+    hold_clock(page)
     there = {item["name"]: item for item in http.get(f"/v1/characters/{character}/objects").json()["items"]}
+    until(page, "m.view.frame.paused")
     drawn = look(page, "m.drawn_objects")
     assert {name: row[3] for name, row in drawn.items()} == {"bag": 2, "sofa": 4}
     for name, row in drawn.items():
         assert row[:3] == pytest.approx(there[name]["position_m"], abs=1e-3)
+    page.get_by_role("button", name="Resume").click()
     http.put(f"/v1/characters/{character}/objects/sofa", json={"position_m": [0.0, 3.0, 0.0]})
     until(page, "m.drawn_objects.sofa[1] > 2.9")

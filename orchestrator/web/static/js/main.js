@@ -35,7 +35,7 @@ async function main() {
     world, session: new Session(), replay: new Replay(), live: new LivePose(skeleton.joints.length),
     mannequin: new Mannequin(world.scene, skeleton, shapes), ghost: new Ghost(world.scene, skeleton, shapes),
     marker: new TargetMarker(world.scene), arrow: new PushArrow(world.scene),
-    objects: new SceneObjects(world.scene), moving: null,
+    objects: new SceneObjects(world.scene), pointer: null, moving: null,
   };
   expose(stage);
   setUpTabs();
@@ -96,6 +96,7 @@ function setUpPointer(stage) {
       world.canvas.classList.toggle("dragging", newtonseconds !== null);
     },
   });
+  stage.pointer = pointer;
   const allow = () => {
     pointer.enabled = view.mode === "live" && view.watching?.kind === "character";
   };
@@ -149,7 +150,7 @@ function draw(stage) {
     const pose = view.mode === "replay" ? replay.at(seconds) : live.at(now);
     if (pose !== null) {
       mannequin.show(pose);
-      world.follow(pose.positions, seconds);
+      world.follow(pose.positions, stage.pointer.steadies(now) ? 0 : seconds);
       if (view.mode === "live" && view.frame !== null) ghost.show(view.plan, view.frame.tick, pose);
       else ghost.hide();
     }
@@ -169,7 +170,11 @@ function expose(stage) {
     get target() { return currentTarget(); },
     get health() { return view.health; },
     get drawn_objects() { return stage.objects.shown(); },
-    get drawn_pelvis_m() { return stage.mannequin.groups[0].position.toArray(); },
+    get drawn_pelvis_m() { return stage.mannequin.drawn("pelvis"); },
+    get drawn_target_m() { return stage.marker.drawn(); },
+    get held() { return stage.pointer.held(); },
+    get still() { return stage.world.still; },
+    drawn_m: (joint) => stage.mannequin.drawn(joint),
     joint_m: jointPosition,
     screenOf: (position) => onScreen(stage.world, position),
   });

@@ -77,6 +77,19 @@ export class Mannequin {
     return { joint, limb: limb ?? limbOf(joint), point: hit.point };
   }
 
+  /** The limbs that can be given a target, where they were last drawn: [{ joint, point, limb }]. */
+  limbs() {
+    return this.handles.map((handle) => {
+      const { joint, limb } = handle.userData;
+      return { joint, limb, point: new THREE.Vector3().setFromMatrixPosition(handle.matrixWorld) };
+    });
+  }
+
+  /** Where a joint was last drawn, [x, y, z] in metres. */
+  drawn(joint) {
+    return new THREE.Vector3().setFromMatrixPosition(this.groups[this.joints.indexOf(joint)].matrixWorld).toArray();
+  }
+
   makeHandles() {
     const ball = new THREE.SphereGeometry(HANDLE_M, 16, 12);
     return ["left_wrist", "right_wrist", "left_foot", "right_foot"].map((name) => {

@@ -61,6 +61,17 @@ export class TargetMarker {
     this.wave.material.opacity = 0.34 * (1 - pulse);
   }
 
+  /** Where it was last drawn, [x, y, z] in metres, or null. */
+  drawn() {
+    if (!this.root.visible) return null;
+    return new THREE.Vector3().setFromMatrixPosition(this.root.matrixWorld).toArray();
+  }
+
+  /** The same for the ball of a joint's target alone. */
+  ballDrawn() {
+    return this.joint === "traj" ? null : this.drawn();
+  }
+
   /** Whether a ray meets it. */
   hit(raycaster) {
     if (!this.root.visible) return null;

@@ -7,6 +7,8 @@ const NS_PER_M = 110;
 const MOST_NS = 180;
 const LEAST_NS = 4;
 const FARTHEST_M = 25;
+const NEAR_PX = { mouse: 12, pen: 14, touch: 26 }; // so far beside a limb or the ball still takes it
+const STEADY_MS = 1000;
 
 /**
  * Calls back with what was meant: floor(point), limb(joint), moveTarget(point), dropTarget(point),
@@ -19,6 +21,7 @@ export class Pointer {
     this.raycaster = new THREE.Raycaster();
     this.plane = new THREE.Plane();
     this.drag = null;
+    this.overUntil = 0;
     const { canvas } = world;
     canvas.addEventListener("pointerdown", (event) => this.down(event), { capture: true });
     canvas.addEventListener("pointermove", (event) => this.move(event));
@@ -37,16 +40,14 @@ export class Pointer {
     this.drag = { kind: "view", x: event.clientX, y: event.clientY, moved: false };
     if (!this.enabled) return;
     this.aim(event);
-    const grabbed = this.marker.hit(this.raycaster);
-    const body = this.mannequin.under(this.raycaster);
-    if (grabbed !== null && (body === null || grabbed.distance < this.raycaster.ray.origin.distanceTo(body.point))) {
-      this.drag = { ...this.drag, kind: "target" };
+    const found = this.found(event);
+    if (found === null) return;
+    this.drag = { ...this.drag, ...found };
+    if (found.kind === "target") {
       this.facing(this.marker.position, this.marker.joint === "traj");
-    } else if (body !== null) {
-      this.drag = { ...this.drag, kind: "body", body, from: body.point.clone(), along: new THREE.Vector3() };
-      this.facing(body.point, false);
     } else {
-      return;
+      Object.assign(this.drag, { from: found.body.point.clone(), along: new THREE.Vector3() });
+      this.facing(found.body.point, false);
     }
     this.world.controls.enabled = false;
     this.world.canvas.setPointerCapture(event.pointerId);
@@ -106,11 +107,45 @@ export class Pointer {
   hover(event) {
     if (event.pointerType === "touch") return;
     this.aim(event);
-    const over = this.enabled
-      ? this.mannequin.under(this.raycaster) !== null || this.marker.hit(this.raycaster) !== null
-      : false;
+    const over = this.enabled && this.found(event) !== null;
+    this.overUntil = over ? performance.now() + STEADY_MS : 0;
     this.world.canvas.classList.toggle("over-body", over);
     this.world.canvas.classList.toggle("over-floor", this.enabled && !over && this.floorPoint() !== null);
+  }
+
+  /**
+   * What a press would take, `aim` being done: { kind: "target" } or { kind: "body", body }, or null. What is under the
+   * pointer goes before what is a little beside it.
+   */
+  found(event) {
+    const grabbed = this.marker.hit(this.raycaster);
+    const body = this.mannequin.under(this.raycaster);
+    if (grabbed !== null && (body === null || grabbed.distance < this.raycaster.ray.origin.distanceTo(body.point))) {
+      return { kind: "target" };
+    }
+    if (body !== null) return { kind: "body", body };
+    const near = NEAR_PX[event.pointerType] ?? NEAR_PX.mouse;
+    const away = (position) => {
+      const { x, y } = onScreen(this.world, position);
+      return Math.hypot(x - event.clientX, y - event.clientY);
+    };
+    const ball = this.marker.ballDrawn();
+    if (ball !== null && away(ball) <= near) return { kind: "target" };
+    const [limb] = this.mannequin.limbs().filter((item) => away(item.point) <= near)
+      .sort((a, b) => away(a.point) - away(b.point));
+    return limb === undefined ? null : { kind: "body", body: limb };
+  }
+
+  /** What is held at this moment: { kind: "view" | "target" | "body", joint }, or null. */
+  held() {
+    if (this.drag === null) return null;
+    const { kind, body } = this.drag;
+    return { kind, joint: kind === "target" ? this.marker.joint : (body?.joint ?? null) };
+  }
+
+  /** Whether the camera must keep still: while something is dragged, and when the pointer has just come upon it. */
+  steadies(now) {
+    return this.drag === null ? now < this.overUntil : this.drag.kind !== "view";
   }
 
   aim(event) {

@@ -14,6 +14,7 @@ const LOOKS = {
 const LOOK_HEIGHT_M = 0.86;
 const FOLLOW_RATE = 3.5; // per second
 const SLOW_FRAME_MS = 40;
+const STILL = 1e-5; // metres, and parts of one
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 
 const FLOOR_VERTEX = `
@@ -61,6 +62,8 @@ export class World {
       screenSpacePanning: false, zoomSpeed: 0.8,
     });
     this.following = true;
+    this.still = false; // whether the last two pictures were seen from the same place
+    this.seenFrom = new THREE.Matrix4();
     this.roomy = false;
     this.scale = this.frugal ? 0.6 : 1;
     this.cost = 16;
@@ -93,7 +96,10 @@ export class World {
     this.frameUp(pelvis, things ? 1.6 : 1);
   }
 
-  /** Let the camera go with the pelvis, keeping the angle the viewer has chosen; the light goes along. */
+  /**
+   * Let the camera go with the pelvis for some seconds (0: it keeps still), keeping the angle the viewer has chosen; the
+   * light goes along.
+   */
   follow(pelvis, seconds) {
     const target = this.controls.target;
     if (this.following) {
@@ -134,6 +140,9 @@ export class World {
     if (now < this.next) return;
     const started = performance.now();
     this.renderer.render(this.scene, this.camera);
+    const { elements } = this.camera.matrixWorld;
+    this.still = this.seenFrom.elements.every((value, i) => Math.abs(value - elements[i]) < STILL);
+    this.seenFrom.copy(this.camera.matrixWorld);
     requestAnimationFrame((then) => {
       this.cost += 0.2 * (Math.min(Math.max(then - started, performance.now() - started), 1000) - this.cost);
     });
