@@ -85,14 +85,15 @@ class JsonLines(logging.Formatter):
 
 
 class _Lines(logging.Formatter):
-    """Lines for people; the fields follow the message as name=value."""
+    """Lines for people, one a message; the fields follow it as name=value."""
 
     def __init__(self) -> None:
         super().__init__("%(asctime)s %(levelname)s %(name)s: %(message)s")
 
     def formatMessage(self, record: logging.LogRecord) -> str:
         values = getattr(record, "fields", {})
-        return super().formatMessage(record) + "".join(f" {name}={value}" for name, value in values.items())
+        line = super().formatMessage(record) + "".join(f" {name}={value}" for name, value in values.items())
+        return line.replace("\n", "\\n").replace("\r", "\\r")
 
 
 def configure_logging(service: str, level: str, log_format: LogFormat) -> None:

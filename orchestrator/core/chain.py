@@ -22,8 +22,6 @@ def following(request: PlanRequest, plan: Plan, seed: int) -> PlanRequest:
     wanted = len(request.prefix_positions_w_m)
     positions = np.concatenate([request.prefix_positions_w_m, plan.positions_w_m])[-wanted - 1 :]
     velocities = np.diff(positions, axis=0) * plan.fps
-    if len(velocities) < wanted:
-        velocities = np.concatenate([request.prefix_velocities_w_mps[:1], velocities])
     update = {
         "start_tick": start_tick,
         "prefix_positions_w_m": positions[-wanted:],

@@ -69,7 +69,7 @@ def read_wishes(
             velocity.velocity_mps[row] = torch.from_numpy(_seen_velocity(wanted, state))
             velocity.valid[row] = True
         ignored.append(unused)
-    placed = [bool(request.targets) for request in requests]
+    placed = [bool(valid.any()) for valid in targets.position_valid]
     if keys is not None:
         placed = [before or bool(mask.any()) for before, mask in zip(placed, keys.mask, strict=True)]
     if velocity is not None:

@@ -32,8 +32,9 @@ OTHER_BEHAVIOUR_SHARE = 0.85
 """Of the joined windows, how many change the behaviour; the rest join two clips of the same one."""
 DISTURBED_SHARE = 0.5
 JOIN_SPREAD = 6
-JOIN_TRIES = 4
 """The joint lies within this many frames of the end of the prefix."""
+JOIN_TRIES = 4
+"""How many clips are tried to find one that a window can join."""
 
 
 @dataclass(frozen=True)

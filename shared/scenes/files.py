@@ -117,17 +117,24 @@ def _line_of(node: yaml.Node, loc: Iterable[Any]) -> int:
     return line + 1
 
 
-def _refuse_twice(node: yaml.Node | None, source: str) -> None:
+def _refuse_twice(root: yaml.Node | None, source: str) -> None:
     """YAML's reader silently takes the last of two equal keys."""
-    if isinstance(node, yaml.MappingNode):
-        seen: set[str] = set()
-        for key, value in node.value:
-            if key.value in seen:
-                raise InvalidInputError(
-                    f"{source} line {key.start_mark.line + 1}: {key.value!r} is there twice", field="scene"
-                )
-            seen.add(str(key.value))
-            _refuse_twice(value, source)
-    elif isinstance(node, yaml.SequenceNode):
-        for item in node.value:
-            _refuse_twice(item, source)
+    waiting, looked_at = [root], set[int]()
+    while waiting:
+        node = waiting.pop()
+        if id(node) in looked_at:
+            continue  # an alias: the same node once more
+        looked_at.add(id(node))
+        if isinstance(node, yaml.MappingNode):
+            seen: set[str] = set()
+            for key, value in node.value:
+                waiting.append(value)
+                if not isinstance(key, yaml.ScalarNode):
+                    continue  # of no scene, as the reader or the schema will say
+                if key.value in seen:
+                    raise InvalidInputError(
+                        f"{source} line {key.start_mark.line + 1}: {key.value!r} is there twice", field="scene"
+                    )
+                seen.add(key.value)
+        elif isinstance(node, yaml.SequenceNode):
+            waiting.extend(node.value)

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
 from shared.protocol.messages import MAX_TEXT_CHARS
 from shared.scenes.schema import Scene
+from shared.text.wording import STAND_TEXT
 
 MAX_TARGET_DISTANCE_M = 30.0
 
@@ -128,7 +129,7 @@ class HaltSpec(BaseTaskSpec):
     """Stop within `settle_s` and stand for `duration_s`."""
 
     type: Literal["halt"] = "halt"
-    text: Text = "a person is standing still."
+    text: Text = STAND_TEXT
     settle_s: Annotated[FiniteFloat, Field(ge=0, le=10)] = 1.5
     duration_s: Annotated[FiniteFloat, Field(gt=0, le=120)] = 3.0
     drift_m: Annotated[FiniteFloat, Field(gt=0, le=5)] = 0.2

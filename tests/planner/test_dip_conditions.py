@@ -20,7 +20,7 @@ from shared.errors import InvalidInputError
 from shared.motion.features import RootState, global_to_features
 from shared.motion.resampling import finite_velocity
 from shared.motion.skeleton import CANONICAL
-from shared.protocol.messages import PlanRequest
+from shared.protocol.messages import JointTarget, PlanRequest
 from tests.planner.dip_helpers import HashEncoder, moving_body
 
 BOTH = preset("tiny").model_copy(update={"keyframes": True, "velocity": True})
@@ -154,6 +154,16 @@ def test_a_key_lands_at_its_frame_seen_from_the_last_prefix_frame() -> None:
     assert (key[9].abs() > 1e-6).sum() == 3, "x, z and the mask: joints without a key stay zero"
     np.testing.assert_allclose(wishes.velocity[0], [1.5, 0.0, 1.0], atol=1e-6)
     assert wishes.placed == [True]
+
+
+def test_only_a_place_that_can_be_asked_for_is_placed() -> None:
+    state = RootState(np.zeros(2), np.array(0.0))
+    asked = [
+        request(targets=[JointTarget(joint=joint, position_w_m=(1.0, 0.0, 0.5), arrival_tick=60)])
+        for joint in ("left_knee", "left_foot")
+    ]
+    wishes = read_wishes(asked, [state, state], BOTH, step_m=5.0)
+    assert (wishes.placed, wishes.ignored) == ([False, True], [["target:left_knee"], []])
 
 
 def test_keys_past_or_beyond_the_plan_are_reported(taught: DipWeights) -> None:

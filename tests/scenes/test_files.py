@@ -69,7 +69,12 @@ def test_a_wrong_scene_gets_the_line_and_the_reason(text: str, line: int, said: 
     assert str(caught.value.field).startswith("scene")
 
 
-@pytest.mark.parametrize("text", ["[" * 50_000, "a" * 300_000, "name: \0", ""])
+LAUGHS = "a0: &a0 [1]\n" + "".join(f"a{k + 1}: &a{k + 1} [{', '.join([f'*a{k}'] * 10)}]\n" for k in range(9))
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 50_000, "a" * 300_000, "name: \0", "", "? [a]\n: 1", "? {a: 1}\n: 1", LAUGHS, "a: &a [*a]"]
+)
 def test_text_that_breaks_readers_is_refused(text: str) -> None:
     with pytest.raises(InvalidInputError):
         parse_scene(text)

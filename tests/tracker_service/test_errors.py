@@ -39,6 +39,7 @@ from shared.protocol.messages import (
 from shared.protocol.transport import ServiceClient
 from tests.tracker_service.support import standing_plan, step, ticks, track
 from tracker_service.policy.baselines import PdTracker
+from tracker_service.service.log_tail import split_buffers
 from tracker_service.service.service import TrackerService
 from tracker_service.service.settings import TrackerServiceSettings
 from tracker_service.simulation.character_spec import HUMAN
@@ -205,6 +206,14 @@ def test_a_damaged_snapshot_changes_nothing(client: ServiceClient, victim: str) 
     np.testing.assert_array_equal(shot.state, again.state)
     with pytest.raises(NotFoundError):
         client.request(Observe(), "never-made")
+
+
+@pytest.mark.parametrize("name", ["tail_bytes", "first_sample", "seed"])
+def test_a_number_no_integer_holds_is_a_damage(client: ServiceClient, victim: str, name: str) -> None:
+    """Other languages write Infinity; ours refuses to."""
+    shot = client.ask(TakeSnapshot(), Snapshot, victim)
+    with pytest.raises(InvalidInputError, match="damaged"):
+        split_buffers({**shot.meta, name: float("inf")}, shot.buffers)
 
 
 class _BreaksOnce(PdTracker):

@@ -41,6 +41,6 @@ def split_buffers(meta: Mapping[str, Any], buffers: npt.NDArray[np.uint8]) -> tu
         tail: Samples = read_npz(buffers[:size].tobytes(), SNAPSHOT_BYTES)
         if "fallen" not in tail:
             raise ValueError("the log is missing")
-    except (InvalidInputError, KeyError, ValueError, TypeError) as error:
+    except (InvalidInputError, KeyError, ValueError, TypeError, OverflowError) as error:
         raise InvalidInputError(f"the snapshot is damaged: {error}", field="buffers") from error
     return tail, buffers[size:]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import zmq
 
-from shared.errors import ConflictError, InvalidInputError, MotionLoopError, NotFoundError, OverloadedError
+from shared.errors import ConflictError, InvalidInputError, NotFoundError, OverloadedError
 from shared.plugins.interfaces import Tracker
 from shared.protocol.base import Message
 from shared.protocol.control import Envelope, Health, HealthReport, Hello, Ok, Welcome
@@ -362,7 +362,7 @@ class TrackerService:
         try:
             hosted.restore(meta, message.state, message.buffers)
             self._admit(hosted)
-        except MotionLoopError:
+        except BaseException:
             hosted.close()
             raise
         return self._paced(hosted)

@@ -334,7 +334,7 @@ class SimulatedCharacter:
             self.tick = int(meta["tick"])
             self._fall.down_ticks = int(meta["down_ticks"])
             self._low = [(int(tick), bool(low)) for tick, low in meta["low"]]
-        except (InvalidInputError, KeyError, ValueError, TypeError) as error:
+        except (InvalidInputError, KeyError, ValueError, TypeError, OverflowError) as error:
             raise InvalidInputError(f"the snapshot is damaged: {error}", field="buffers") from error
         mujoco.mj_setState(self.scene.model, self._data, np.ascontiguousarray(state, dtype=np.float64), _STATE)
         # Contacts are not part of the state; forward finds them again, then the warm start is put back.

@@ -117,7 +117,7 @@ class Imagination:
 
     def _advance(self, state: State, bodies: Bodies, target: Tensor, heights: Tensor) -> State:
         model = self._model
-        x = ((model.features(state, bodies, target, heights) - model.mean) / model.std).clamp(-6.0, 6.0)
+        x = model.inputs(state, bodies, target, heights)
         return model.moved(state, mixed(model.net, x, self._bf16) * model.scale)
 
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
+from shared.processor import bf16_pays
 from tracker_service.policy.observations import PREVIEW_TICKS
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.training.dataset import ReferenceSet
@@ -30,11 +31,9 @@ TAIL_TICKS = max(PREVIEW_TICKS) + 1
 
 
 def has_bf16(device: torch.device) -> bool:
-    """Whether matrix products in bfloat16 are fast here: on processors without them they are twenty times slower than
-    float32. A graphics card spends its time on starting kernels, and conversions are more of these: TF32 there."""
-    if device.type != "cpu":
-        return False
-    return bool(torch.backends.cpu.get_cpu_capability() == "AVX512" and torch.cpu._is_avx512_bf16_supported())
+    """Whether matrix products in bfloat16 pay: as the processor says, see `bf16_pays`. A graphics card spends its time
+    on starting kernels, and conversions are more of these: TF32 there."""
+    return device.type == "cpu" and bf16_pays()
 
 
 def with_history(state: State) -> State:

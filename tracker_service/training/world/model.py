@@ -65,10 +65,14 @@ class WorldModel(nn.Module):
         ]
         return torch.cat(parts, -1)
 
+    def inputs(self, state: State, bodies: Bodies, target_rad: Tensor, heights: Tensor) -> Tensor:
+        """(B, F) features, normalised and clipped."""
+        x = (self.features(state, bodies, target_rad, heights) - self.mean) / self.std
+        return x.clamp(-FEATURE_CLIP, FEATURE_CLIP)
+
     def forward(self, state: State, bodies: Bodies, target_rad: Tensor, heights: Tensor) -> State:
         """The state one tick later."""
-        x = (self.features(state, bodies, target_rad, heights) - self.mean) / self.std
-        change: Tensor = self.net(x.clamp(-FEATURE_CLIP, FEATURE_CLIP)) * self.scale
+        change: Tensor = self.net(self.inputs(state, bodies, target_rad, heights)) * self.scale
         return self.moved(state, change)
 
     def moved(self, s: State, change: Tensor) -> State:
