@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from json import loads
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,9 +16,12 @@ from orchestrator.cli.delegate import PASS_THROUGH, module_json, run_module
 from orchestrator.core.services import Services, connect
 from orchestrator.core.supervise import Stack, StackOptions
 from orchestrator.evaluation import bench as benches
-from orchestrator.evaluation.report import report as as_markdown
+from orchestrator.evaluation.report import write_report
+from orchestrator.evaluation.rows import Measured
+from orchestrator.evaluation.sequences import SEQUENCE
 from orchestrator.evaluation.tasks import evaluate_tasks
 from orchestrator.evaluation.text import evaluate_text
+from shared.errors import InvalidInputError
 
 evaluate = typer.Typer(no_args_is_help=True, help="Measure how well it works.")
 bench = typer.Typer(no_args_is_help=True, help="Measure how fast it is.")
@@ -82,11 +86,18 @@ def with_pairs(
             stack.stop()
 
 
-def _stack(threads: int, batch: tuple[str, ...]) -> Stack:
-    return Stack(
-        StackOptions(planner_args=("--threads", str(threads), *batch), tracker_args=("--max-characters", "64")),
-        console.print,
-    )
+def _stack(
+    threads: int,
+    batch: tuple[str, ...],
+    planner_weights: Path | None = None,
+    tracker_weights: Path | None = None,
+) -> Stack:
+    planner_args, tracker_args = ("--threads", str(threads), *batch), ("--max-characters", "64")
+    if planner_weights is not None:
+        planner_args = (*planner_args, "--dip-weights", str(planner_weights))
+    if tracker_weights is not None:
+        tracker_args = (*tracker_args, "--weights", str(tracker_weights))
+    return Stack(StackOptions(planner_args=planner_args, tracker_args=tracker_args), console.print)
 
 
 class Bar:
@@ -116,30 +127,46 @@ class Bar:
 def eval_tasks(
     tasks: Annotated[str, typer.Option(help="task names with commas")] = "reach",
     episodes: Annotated[int, typer.Option(min=1)] = 20,
+    sequences: Annotated[int, typer.Option(min=0, help="so many sequences of five random tasks in one scene")] = 0,
     seed: int = 1,
-    variant: Annotated[str, typer.Option(help="closed_loop, open_loop, paper, short or long")] = "closed_loop",
+    variant: Annotated[
+        str, typer.Option(help="closed_loop, open_loop, no_finetune, paper, short or long")
+    ] = "closed_loop",
+    varied: Annotated[bool, typer.Option("--varied", help="sizes of objects 20 % off, seats of 0.2 to 0.6 m")] = False,
     parallel: Annotated[int, typer.Option(min=1, max=64, help="episodes at once")] = 8,
     jobs: Annotated[int, typer.Option(min=1, max=64, help="pairs of planner and tracker, a core or two each")] = 1,
     threads: Threads = 1,
     planner: Planner = None,
     tracker: Tracker = None,
+    planner_weights: Annotated[Path | None, typer.Option(exists=True, help="weights of dip")] = None,
+    tracker_weights: Annotated[Path | None, typer.Option(exists=True, help="weights of learned")] = None,
     resume: Annotated[Path | None, typer.Option(help="JSON lines of finished episodes, to go on from")] = None,
-    report: Annotated[Path | None, typer.Option(help="write the table as Markdown", callback=writable)] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="write the table as Markdown, with plots beside it", callback=writable)
+    ] = None,
+    against: Annotated[Path | None, typer.Option(exists=True, help="an earlier --json to compare with")] = None,
+    videos: Annotated[Path | None, typer.Option(help="folder for videos of the episodes that fail")] = None,
     json: JsonFile = None,
 ) -> None:
     """Success rates of tasks (strict, paper, code) with a Wilson interval."""
-    names = [name.strip() for name in tasks.split(",") if name.strip()]
+    names = [SEQUENCE] if sequences else [name.strip() for name in tasks.split(",") if name.strip()]
+    measured = Measured(seed, variant, planner, tracker, varied)
     with Bar("episodes") as bar:
+        with for_people():
+            if variant == "no_finetune" and tracker_weights is None:
+                raise InvalidInputError(
+                    "no_finetune needs weights that have seen no plans", field="variant", allowed="--tracker-weights"
+                )
         result = with_pairs(
             lambda pairs: evaluate_tasks(
-                pairs, names, episodes, seed, variant, parallel, planner, tracker, resume, bar.update
+                pairs, names, sequences or episodes, measured, parallel, resume, bar.update, videos
             ),
-            [_stack(threads, ("--max-batch", "1")) for _ in range(jobs)],
+            [_stack(threads, ("--max-batch", "1"), planner_weights, tracker_weights) for _ in range(jobs)],
             planner, tracker, threads, repeatable=True,
         )  # fmt: skip
     whole = {**result, **provenance(seed)}
     if report is not None:
-        report.write_text(as_markdown(whole), encoding="utf-8")
+        write_report(report, whole, None if against is None else loads(against.read_text()))
     write_json(json, whole)
 
 

@@ -45,10 +45,12 @@ REALTIME = LoopSettings(plan_lead_ticks=12, plan_timeout_s=3.0, tracker_timeout_
 VARIANTS: dict[str, LoopSettings] = {
     "closed_loop": LoopSettings(),
     "open_loop": LoopSettings(mode="open_loop"),
+    "no_finetune": LoopSettings(),
     "paper": LoopSettings(replan_ticks=60, text_replan_ticks=60),
     "short": LoopSettings(replan_ticks=15, text_replan_ticks=15, horizon_frames=10),
     "long": LoopSettings(replan_ticks=120, text_replan_ticks=120, chained_plans=2),
 }
 """Loop variants by the names of DESIGN 8. `paper` is the paper's blocking loop: a plan of 40 frames, performed to its
 end before the body is looked at again. `short` looks at it four times as often, with plans of 10 frames; `long` half as
-often, with two plans of 40 in a chain."""
+often, with two plans of 40 in a chain. `no_finetune` is `closed_loop` with weights that one names for it, of
+a tracker that has seen no plans."""

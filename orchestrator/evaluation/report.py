@@ -1,10 +1,39 @@
-"""The table of `eval tasks` as Markdown."""
+"""The table of `eval tasks` as Markdown, with its plots beside it."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
+from orchestrator.evaluation.plots import directions_svg, success_svg
+from orchestrator.evaluation.statistics import two_proportions_p
+
 FULL = 24
+
+
+def write_report(path: Path, result: dict[str, Any], against: dict[str, Any] | None = None) -> None:
+    """The report, and `NAME_success.svg` and `NAME_directions.svg`, which it shows."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    plots = {f"{path.stem}_success.svg": success_svg(result), f"{path.stem}_directions.svg": directions_svg(result)}
+    for name, plot in plots.items():
+        path.with_name(name).write_text(plot, encoding="utf-8")
+    shown = "".join(f"\n![{name}]({name})\n" for name in plots)
+    path.write_text(report(result) + ("" if against is None else compared(result, against)) + shown, encoding="utf-8")
+
+
+def compared(result: dict[str, Any], against: dict[str, Any]) -> str:
+    """Strict success of two results, task by task, with p that they differ by chance alone."""
+    lines = ["", f"## Against variant `{against['variant']}`, seed {against.get('seed')}", ""]
+    lines += ["| task | strict | n | there | n | p |", "|---|---|---|---|---|---|"]
+    for name in (name for name in result["tasks"] if name in against["tasks"]):
+        here, there = result["tasks"][name], against["tasks"][name]
+        counts = [(round(row["success_strict"] * row["n"]), row["n"]) for row in (here, there)]
+        p = two_proportions_p(*counts[0], *counts[1])
+        lines.append(
+            f"| {name} | {here['success_strict']:.3f} | {here['n']} | {there['success_strict']:.3f} | {there['n']} | "
+            f"{p:.2g} |"
+        )
+    return "\n".join(lines) + "\n"
 
 
 def report(result: dict[str, Any]) -> str:
@@ -13,8 +42,9 @@ def report(result: dict[str, Any]) -> str:
     Args:
         result: as `evaluate_tasks` gives it, with what the command adds.
     """
-    lines = [f"# Tasks, variant `{result['variant']}`", ""]
-    made = [f"{key} {result[key]}" for key in ("seed", "commit", "machine") if key in result]
+    varied = ", objects varied" if result.get("varied") else ""
+    lines = [f"# Tasks, variant `{result['variant']}`{varied}", ""]
+    made = [f"{key} {result[key]}" for key in ("seed", "commit", "weights", "machine") if key in result]
     lines += [f"{', '.join(made)}", ""] if made else []
     lines += [
         "| task | n | strict | 95 % | | paper | code | falls | median s |",

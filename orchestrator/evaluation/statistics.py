@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import sqrt
+from math import erfc, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,13 @@ def wilson(successes: int, n: int, z: float = Z_95) -> tuple[float, float]:
     half = z * sqrt(p * (1 - p) / n + z * z / (4 * n * n))
     scale = 1 + z * z / n
     return max(0.0, (middle - half) / scale), min(1.0, (middle + half) / scale)
+
+
+def two_proportions_p(successes_a: int, n_a: int, successes_b: int, n_b: int) -> float:
+    """p of two samples of one proportion differing so much, two-sided: the pooled z test; 1 where nothing differs."""
+    pooled = (successes_a + successes_b) / (n_a + n_b)
+    spread = sqrt(pooled * (1 - pooled) * (1 / n_a + 1 / n_b))
+    return 1.0 if spread == 0 else erfc(abs(successes_a / n_a - successes_b / n_b) / spread / sqrt(2))
 
 
 def percentiles(values: npt.ArrayLike, *which: float) -> dict[str, float | None]:

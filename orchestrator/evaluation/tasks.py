@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import uuid
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from math import atan2
 from pathlib import Path
 from typing import Any
@@ -17,88 +17,114 @@ from orchestrator.core.episode import EpisodeOutcome, EpisodeRunner, EpisodeSpec
 from orchestrator.core.events import EventLog
 from orchestrator.core.services import Services
 from orchestrator.core.settings import VARIANTS
-from orchestrator.evaluation.starts import octant, start_of
+from orchestrator.evaluation.rows import Key, Measured, Row, finished, keep
+from orchestrator.evaluation.sequences import SEQUENCE, sequence_of
+from orchestrator.evaluation.starts import Start, octant, start_of
 from orchestrator.evaluation.statistics import wilson
 from shared.errors import InvalidInputError
+from shared.protocol.messages import Render, Video
 
-Progress = Callable[[int, int, dict[str, Any]], None]
+Progress = Callable[[int, int, Row], None]
 """Called with episodes done, episodes in all, and the newest row."""
+FILM_S = 600.0
 
 
-def episode_spec(
-    task: str, index: int, seed: int, variant: str, planner: str | None, tracker: str | None
-) -> EpisodeSpec:
-    """Episode `index` of a task: its own seed and start heading, the same for every variant."""
-    if variant not in VARIANTS:
-        raise InvalidInputError(f"unknown variant {variant!r}", field="variant", allowed=", ".join(VARIANTS))
-    own = task_seed(seed, index)
-    start = start_of(task, own)
+def start_for(key: Key, measured: Measured) -> Start:
+    """How episode `key` begins: the same for every variant and all weights."""
+    task, index = key
+    own = task_seed(measured.seed, index)
+    return sequence_of(own) if task == SEQUENCE else start_of(task, own, measured.varied)
+
+
+def episode_spec(key: Key, measured: Measured) -> EpisodeSpec:
+    """Episode `index` of a task: its own seed and start, the same for every variant."""
+    if measured.variant not in VARIANTS:
+        raise InvalidInputError(f"unknown variant {measured.variant!r}", field="variant", allowed=", ".join(VARIANTS))
+    start = start_for(key, measured)
     return EpisodeSpec.model_validate(
         {
             "tasks": start.tasks,
             "scene": start.scene,
-            "seed": own,
+            "seed": task_seed(measured.seed, key[1]),
             "pacing": "lockstep",
             "heading_rad": start.heading_rad,
-            "loop": VARIANTS[variant],
-            "planner": planner,
-            "tracker": tracker,
+            "loop": VARIANTS[measured.variant],
+            "planner": measured.planner,
+            "tracker": measured.tracker,
         }
     )
 
 
-async def run_one(spec: EpisodeSpec, services: Services) -> EpisodeOutcome:
-    """Run an episode and close its character."""
+async def run_one(spec: EpisodeSpec, services: Services, film: Path | None = None) -> EpisodeOutcome:
+    """Run an episode and close its character.
+
+    Args:
+        film: where to write a video of it, unless every task succeeded.
+    """
     runner = EpisodeRunner(str(uuid.uuid4()), spec, services, EventLog())
     outcome = await runner.run()
-    if runner.session.created:
-        await runner.session.close()
+    if not runner.session.created:
+        return outcome
+    if film is not None and not outcome.success and runner.tick > 0:
+        ask = Render(start_tick=0, stop_tick=runner.tick, width=480, height=360)
+        video = await runner.session.loop.ask_tracker(Video, ask, FILM_S)
+        film.parent.mkdir(parents=True, exist_ok=True)
+        film.write_bytes(np.asarray(video.mp4).tobytes())
+    await runner.session.close()
     return outcome
+
+
+def weights_of(services: Services, planner: str | None, tracker: str | None) -> str:
+    """Names, versions and weights of what answers, so that rows of other weights are told apart."""
+    told = []
+    for slot, plugin in ((services.planner, planner), (services.tracker, tracker)):
+        spec = slot.spec(plugin)
+        told.append(f"{spec.get('name')} {spec.get('version')} {str(spec.get('weights_sha256'))[:12]}")
+    return ", ".join(told)
 
 
 async def evaluate_tasks(
     pairs: Sequence[Services],
     tasks: Sequence[str],
     episodes: int,
-    seed: int,
-    variant: str = "closed_loop",
+    measured: Measured,
     parallel: int = 8,
-    planner: str | None = None,
-    tracker: str | None = None,
     resume: Path | None = None,
     progress: Progress | None = None,
+    videos: Path | None = None,
 ) -> dict[str, Any]:
     """Success of each task over `episodes` episodes.
 
     Args:
         pairs: of planner and tracker; the episodes are spread over them, and the table is the same for any number.
+        tasks: names; `sequence` stands for five random tasks in one scene.
         resume: JSON lines file of finished episodes; those in it are not run again, new ones are added.
+        videos: folder for a video of every episode that fails.
 
     Returns:
         {"tasks": {name: {n, success_strict, success_paper, success_code, ci95, falls, median_time_s, failures}}}.
     """
+    measured = replace(measured, weights=weights_of(pairs[0], measured.planner, measured.tracker))
     wanted = [(task, index) for task in tasks for index in range(episodes)]
-    specs = {key: episode_spec(*key, seed, variant, planner, tracker) for key in wanted}
-    rows = {key: row for key, row in _done(resume, seed, variant, planner, tracker).items() if key in specs}
+    specs = {key: episode_spec(key, measured) for key in wanted}
+    rows = {key: row for key, row in finished(resume, measured).items() if key in specs}
     todo = [key for key in wanted if key not in rows]
     gate = asyncio.Semaphore(parallel)
 
-    async def one(place: int, key: tuple[str, int]) -> None:
+    async def one(place: int, key: Key) -> None:
+        film = None if videos is None else videos / f"{key[0]}_{measured.variant}_{measured.seed}_{key[1]:03d}.mp4"
         async with gate:
-            outcome = await run_one(specs[key], pairs[place % len(pairs)])
-        row = {**_row(key, seed, variant, outcome), "planner": planner, "tracker": tracker}
-        rows[key] = row
-        if resume is not None:
-            resume.parent.mkdir(parents=True, exist_ok=True)
-            with resume.open("a") as file:
-                file.write(json.dumps(row) + "\n")
+            outcome = await run_one(specs[key], pairs[place % len(pairs)], film)
+        rows[key] = measured.stamped(_row(key, start_for(key, measured), outcome))
+        keep(resume, rows[key])
         if progress is not None:
-            progress(len(rows), len(wanted), row)
+            progress(len(rows), len(wanted), rows[key])
 
     async with asyncio.TaskGroup() as group:
         for place, key in enumerate(todo):
             group.create_task(one(place, key))
-    return {"tasks": {task: summary([rows[task, i] for i in range(episodes)]) for task in tasks}, "variant": variant}
+    table = {task: summary([rows[task, i] for i in range(episodes)]) for task in tasks}
+    return {"tasks": table, "variant": measured.variant, "varied": measured.varied, "weights": measured.weights}
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -131,46 +157,31 @@ def _share(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return {"n": len(rows), "success_strict": good / len(rows), "ci95": [round(low, 4), round(high, 4)]}
 
 
-def _row(key: tuple[str, int], seed: int, variant: str, outcome: EpisodeOutcome) -> dict[str, Any]:
-    """One episode; where it ended before the task that counts, that has failed."""
-    start = start_of(key[0], task_seed(seed, key[1]))
-    results = [result for result in outcome.results if result.index == len(start.tasks) - 1]
-    measures = results[0].measures if results else {}
+def _row(key: Key, start: Start, outcome: EpisodeOutcome) -> Row:
+    """One episode. A sequence counts as a whole; else the last task does, and it has failed where the episode ended
+    before it."""
+    task, index = key
+    results = outcome.results if task == SEQUENCE else [r for r in outcome.results if r.index == len(start.tasks) - 1]
+    complete = len(results) == (len(start.tasks) if task == SEQUENCE else 1)
+    measures = dict(results[-1].measures) if results and task != SEQUENCE else {}
+    if task == SEQUENCE:
+        measures = {"done": float(sum(result.success_strict for result in results)), "tasks": float(len(start.tasks))}
     bearing = start.bearing_rad
     if bearing is None and "goal_x_m" in measures:
         bearing = atan2(measures["goal_y_m"], measures["goal_x_m"]) - start.heading_rad
-    base = {
-        "task": key[0], "index": key[1], "seed": seed, "variant": variant, "plans": outcome.plans,
-        "octant": None if bearing is None else octant(bearing), "limb": start.tasks[-1].get("limb"),
-    }  # fmt: skip
-    if not results:
-        return {
-            **base, "strict": False, "paper": False, "code": False, "fell": False, "seconds": 0.0,
-            "reason": outcome.reason, "measures": {},
-        }  # fmt: skip
-    result = results[0]
+    failed = next((result for result in results if not result.success_strict), None)
+    reason = outcome.reason if failed is None else failed.reason
     return {
-        **base,
-        "strict": result.success_strict,
-        "paper": result.success_paper,
-        "code": result.success_code,
-        "fell": result.fell,
-        "seconds": result.seconds,
-        "reason": result.reason,
+        "task": task,
+        "index": index,
+        "plans": outcome.plans,
+        "octant": None if bearing is None else octant(bearing),
+        "limb": start.tasks[-1].get("limb"),
+        "strict": complete and all(result.success_strict for result in results),
+        "paper": complete and all(result.success_paper for result in results),
+        "code": complete and all(result.success_code for result in results),
+        "fell": any(result.fell for result in results),
+        "seconds": round(sum(result.seconds for result in results), 3),
+        "reason": f"{failed.type}: {reason}" if failed is not None and task == SEQUENCE else reason,
         "measures": measures,
     }
-
-
-def _done(
-    path: Path | None, seed: int, variant: str, planner: str | None, tracker: str | None
-) -> dict[tuple[str, int], dict[str, Any]]:
-    """Finished episodes of the same command. A line that a kill has cut off is taken out of the file."""
-    if path is None or not path.exists():
-        return {}
-    text = path.read_text()
-    whole = text[: text.rfind("\n") + 1]
-    if whole != text:
-        path.write_text(whole)
-    rows = [json.loads(line) for line in whole.splitlines()]
-    wanted = {"seed": seed, "variant": variant, "planner": planner, "tracker": tracker}
-    return {(row["task"], row["index"]): row for row in rows if {key: row.get(key) for key in wanted} == wanted}

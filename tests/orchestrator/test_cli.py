@@ -18,6 +18,7 @@ import pytest
 from orchestrator.cli.braille import Canvas, side_view, top_view
 from orchestrator.client import Client
 from orchestrator.core.supervise import Stack, address_in
+from orchestrator.evaluation.rows import Measured
 from orchestrator.evaluation.starts import Start, octant, start_of
 from orchestrator.evaluation.statistics import percentiles, wilson
 from orchestrator.evaluation.tasks import episode_spec, summary
@@ -225,9 +226,9 @@ def test_evaluations_ask_for_every_kind_and_know_their_names() -> None:
     assert all(kind_of(text) == kind for kind, texts in COMMANDS.items() for text in texts)
     assert choose_commands(60, 1) == commands != choose_commands(60, 2)
     with pytest.raises(InvalidInputError, match="fly"):
-        episode_spec("fly", 0, 1, "closed_loop", None, None)
+        episode_spec(("fly", 0), Measured())
     with pytest.raises(InvalidInputError, match="sideways"):
-        episode_spec("reach", 0, 1, "sideways", None, None)
+        episode_spec(("reach", 0), Measured(variant="sideways"))
 
 
 def test_a_summary_counts_by_hand() -> None:
