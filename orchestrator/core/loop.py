@@ -380,6 +380,7 @@ class CharacterLoop:
         before the plan is over. A multiple of `start_spacing`."""
         spec = self.planner_spec(goal.planner)
         wanted = self.settings.replan_ticks if goal.targets else self.settings.text_replan_ticks
+        wanted = max(wanted, goal.hold_ticks)
         if spec.replan_frames is not None:
             wanted = spec.replan_frames * TICK_HZ // spec.fps
         spacing = start_spacing(spec.fps)

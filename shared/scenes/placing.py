@@ -47,6 +47,18 @@ def pose_of(body: SceneBody) -> Array:
     return np.array([*body.position_w_m, np.cos(half), 0.0, 0.0, np.sin(half)])
 
 
+def top_m(body: SceneBody) -> float:
+    """How high the highest of its parts reaches above its frame, as it stands; parts that are turned count as not."""
+
+    def half(part: Part) -> float:
+        if part.shape == "box":
+            return part.size_m[2]
+        round_end = 0.0 if part.shape == "cylinder" else part.size_m[0]
+        return round_end if part.shape == "sphere" else part.size_m[1] + round_end
+
+    return max(part.position_b_m[2] + half(part) for part in body.parts)
+
+
 def mark_place(scene: Scene, name: str, pose_w: Array | None = None) -> Place:
     """Where a mark is.
 

@@ -80,6 +80,8 @@ class PlanGoal:
             What was used stands in the plan.
         may_be_low: being low is asked for and is no fall; None: as the text says.
         planner: plug-in to ask, where the service has it; None, or one that it lacks: the character's own.
+        hold_ticks: the plan is performed at least so long before the next one, where the loop would plan oftener: a
+            motion that must not be begun anew again and again.
     """
 
     text: str | None = None
@@ -95,6 +97,7 @@ class PlanGoal:
     guidance: float | None = None
     may_be_low: bool | None = None
     planner: str | None = None
+    hold_ticks: int = 0
 
     def scaled(self, factor: float) -> PlanGoal:
         """The same in a world whose lengths are `factor` times as large: places, speeds and radii are, angles and times

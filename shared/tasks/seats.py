@@ -30,7 +30,12 @@ SIT_S, TRY_S = 1.6, 6.0
 """How long sitting down takes; after so long without a seat under it, it begins anew."""
 LOW_SHARE = 0.75
 """A pelvis below this share of its standing height sits or lies."""
-RISE = ReachTuning(speed_mps=0.5, least_arrival_s=0.8)
+RISE = ReachTuning(speed_mps=0.4, least_arrival_s=0.8)
+HOLD_TICKS = 36
+"""Planned anew every half second a rise begins again and again: the body leans forward, and forward, and sits."""
+UP_SHARE = 0.85
+"""Below this share of its standing height a pelvis is still on its way up."""
+SOLES = CANONICAL.indices("left_ankle", "right_ankle", "left_foot", "right_foot")
 SIDE_M = 0.45
 AHEAD_M = 0.3
 
@@ -199,24 +204,35 @@ class GetUpTask(Task):
         xy, self._facing_rad = view.pelvis_xy_m, None
         if spec.from_ == "seat":
             seat = marked_object(view, spec.mark)
-            xy, self._facing_rad = before_edge(seat, view, spec.ahead_m), seat.place(view).heading_rad
+            place = seat.place(view)
+            xy, self._facing_rad = before_edge(seat, view, spec.ahead_m), place.heading_rad
+            # A wide seat is left straight ahead from where one sits on it.
+            left = np.array([-sin(place.heading_rad), cos(place.heading_rad)])
+            aside = float((view.pelvis_xy_m - place.position_w_m[:2]) @ left)
+            xy = xy + left * np.clip(aside, -seat.half_size_m[1], seat.half_size_m[1])
         self._target = np.array([xy[0], xy[1], height])
         self._approach.forget()
         self._stand.start(view)
 
     def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
-        """The pelvis up and to the place; standing once it is there."""
+        """The pelvis up over the feet, then to the place; standing once it is there.
+
+        Nobody gets up into the air: where the place lies ahead of the feet, a step follows once the body stands.
+        """
         pelvis, target = view.pos_w_m[PELVIS], self.target_w_m
         if float(np.linalg.norm(pelvis - target)) < 0.2 * view.scale:
             return self._stand.goal(view, plan_tick)
+        if self._spec.from_ == "seat" and pelvis[2] < UP_SHARE * target[2]:
+            target = np.array([*view.pos_w_m[SOLES, :2].mean(axis=0), target[2]])
         aim = self._approach.target(pelvis, target, plan_tick, view.scale)
         heading = None
         if self._facing_rad is not None:
             heading = HeadingTarget(heading_rad=self._facing_rad, arrival_tick=aim.arrival_tick)
-        low = True if self._spec.from_ == "floor" else None
+        floor = self._spec.from_ == "floor"
         return PlanGoal(
-            text=self._spec.prompt, targets=(aim,), heading=heading, guidance=self._spec.guidance, may_be_low=low
-        )
+            text=self._spec.prompt, targets=(aim,), heading=heading, guidance=self._spec.guidance,
+            may_be_low=True if floor else None, hold_ticks=0 if floor else HOLD_TICKS,
+        )  # fmt: skip
 
     def status(self, trace: Trace) -> Status:
         """Done when it has stood on both feet for half a second."""

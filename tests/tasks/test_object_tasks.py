@@ -35,13 +35,14 @@ def view(scene: str, x: float = 0.0, y: float = 0.0, facing: float = 0.0, tick: 
 def test_a_blow_counts_down_to_one_tick_and_then_waits_before_the_next(limb: str) -> None:
     task = make_task(StrikeSpec.model_validate({"limb": limb}), 0)
     task.start(view("bag", 1.1))
+    side, end = limb.split("_")
     arrivals, texts = [], []
     for plan_tick in (0, 6, 12, 18):
         goal = task.goal(view("bag", 1.1, tick=plan_tick), plan_tick)
         (target,) = goal.targets
-        side, end = limb.split("_")
         assert target.joint == f"{side}_{'wrist' if end == 'hand' else 'foot'}"
-        assert target.position_w_m == pytest.approx((2.0, 0.0, 0.9))
+        # Through the mark at (2, 0, 0.9), the fist higher on so tall an object.
+        assert target.position_w_m == pytest.approx((2.15, 0.0, 1.3) if end == "hand" else (2.05, 0.0, 0.9))
         assert goal.heading is not None
         assert goal.heading.heading_rad == pytest.approx(0.0)
         assert side in str(goal.text)
@@ -54,6 +55,33 @@ def test_a_blow_counts_down_to_one_tick_and_then_waits_before_the_next(limb: str
     assert follow.text == texts[0]
     again = task.goal(view("bag", 1.1, tick=arrivals[0] + 24), arrivals[0] + 24)
     assert again.targets[0].arrival_tick > arrivals[0] + 24
+
+
+@pytest.mark.parametrize("limb", ["left_foot", "right_hand"])
+def test_what_was_hit_is_gone_through_until_it_goes_down(limb: str) -> None:
+    task = make_task(StrikeSpec.model_validate({"limb": limb}), 0)
+    task.start(view("bag", 1.1))
+    task.goal(view("bag", 1.1), 0)
+    arrivals = set()
+    for tick, lean in ((15, 0.05), (30, 0.2)):
+        hit = leaning_bag(view("bag", 1.4, tick=tick), lean)
+        goal = task.goal(hit, tick)
+        (target,) = goal.targets
+        assert target.joint == f"{limb.split('_')[0]}_wrist"
+        assert target.position_w_m == pytest.approx((2.5, 0.0, 1.3))
+        assert "steps forward" in str(goal.text)
+        arrivals.add(target.arrival_tick)
+    assert arrivals == {15 + 27}
+    assert task.goal(leaning_bag(view("bag", 1.3, tick=45), 0.5), 45).text == STAND_TEXT
+    # One that rocks back is hit again.
+    assert task.goal(view("bag", 1.1, tick=80), 80).targets[0].arrival_tick > 80 + 15
+
+
+def leaning_bag(seen: BodyView, lean_rad: float) -> BodyView:
+    """The same with a bag that leans away about its foot."""
+    pose = seen.objects["bag"].copy()
+    pose[3:] = [np.cos(lean_rad / 2), 0.0, np.sin(lean_rad / 2), 0.0]
+    return replace(seen, objects={"bag": pose})
 
 
 def test_far_from_the_bag_it_walks_too_near_it_steps_back_beside_it_turns() -> None:
@@ -79,9 +107,9 @@ def test_a_limb_that_is_far_goes_by_way_of_a_nearer_point() -> None:
     task.start(view("bag", 0.0))
     goal = task.goal(view("bag", 0.0), 0)
     foot = STAND[CANONICAL.index("right_foot")]
-    assert np.linalg.norm(np.array(goal.targets[0].position_w_m) - foot) == pytest.approx(1.2)
+    assert np.linalg.norm(np.array(goal.targets[0].position_w_m) - foot) == pytest.approx(1.3)
     last = task.goal(view("bag", 1.2), 15).targets[0]
-    assert last.position_w_m == pytest.approx((2.0, 0.0, 0.9))
+    assert last.position_w_m == pytest.approx((2.05, 0.0, 0.9))
     assert goal.targets[0].arrival_tick < last.arrival_tick
 
 
@@ -124,16 +152,27 @@ def test_a_sitter_walks_round_the_sofa_turns_and_goes_down() -> None:
     assert late.text == "a person is walking."
 
 
-def test_getting_up_ends_before_the_seat_or_where_it_lay() -> None:
+def test_getting_up_goes_over_the_feet_and_ends_before_the_seat_or_where_it_lay() -> None:
     task = make_task(GetUpSpec(), 0)
-    seat = view("sofa", -1.3, lift=-0.45)
+    seat = view("sofa", -1.3, 0.4, lift=-0.45)
+    feet = [CANONICAL.index(f"{side}_{part}") for side in ("left", "right") for part in ("ankle", "foot")]
+    seat.pos_w_m[feet, 0] += 0.5
     task.start(seat)
+    aim = np.array([-1.3 + 0.33 + 0.3, 0.4, 0.9])  # straight ahead of where it sits
+    assert task.target_w_m == pytest.approx(aim)
     goal = task.goal(seat, 0)
-    assert goal.targets[0].joint == "pelvis"
-    aim = np.array([-1.3 + 0.33 + 0.3, 0.0, 0.9])
-    assert goal.targets[0].position_w_m == pytest.approx(tuple(aim), abs=1e-6)
+    (target,) = goal.targets
+    assert target.joint == "pelvis"
+    over = seat.pos_w_m[feet, :2].mean(axis=0)
+    assert target.position_w_m == pytest.approx((*over, 0.9), abs=1e-6)
+    assert goal.hold_ticks > 15
     assert goal.heading is not None
-    assert task.goal(view("sofa", aim[0]), 30).text == STAND_TEXT
+    up = task.goal(view("sofa", -1.0, 0.4, tick=60), 60)
+    assert up.targets[0].position_w_m == pytest.approx(tuple(aim), abs=1e-6)
+    assert task.goal(view("sofa", aim[0], 0.4, tick=90), 90).text == STAND_TEXT
+    far = make_task(GetUpSpec(), 0)
+    far.start(view("sofa", -1.3, 2.0, lift=-0.45))
+    assert far.target_w_m[1] == pytest.approx(1.15)  # not beyond the seat's end
     floor = make_task(GetUpSpec.model_validate({"from": "floor"}), 0)
     floor.start(view("flat", 2.0, 1.0, lift=-0.8))
     goal = floor.goal(view("flat", 2.0, 1.0, lift=-0.8), 0)
