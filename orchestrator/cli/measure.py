@@ -92,7 +92,8 @@ def _stack(
     planner_weights: Path | None = None,
     tracker_weights: Path | None = None,
 ) -> Stack:
-    planner_args, tracker_args = ("--threads", str(threads), *batch), ("--max-characters", "64")
+    planner_args: tuple[str, ...] = ("--threads", str(threads), *batch)
+    tracker_args: tuple[str, ...] = ("--max-characters", "64")
     if planner_weights is not None:
         planner_args = (*planner_args, "--dip-weights", str(planner_weights))
     if tracker_weights is not None:

@@ -50,7 +50,8 @@ class Agenda:
     def take(self) -> tuple[int, Task]:
         """The next one: its index and the task, ready to be started."""
         index = self._to_come.pop(0)
-        return index, make_task(self.tasks[index], task_seed(self._seed, index))
+        spec = self.tasks[index]
+        return index, make_task(spec.again() if index in self._attempts else spec, task_seed(self._seed, index))
 
     def again(self, index: int) -> bool:
         """Whether a task that has failed is tried once more: it is the next one then."""

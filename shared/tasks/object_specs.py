@@ -80,6 +80,8 @@ class GetUpSpec(BaseTaskSpec):
         mark: the seat; not used on the floor.
         ahead_m: where to stand, in front of the seat's edge (REFERENCE 3).
         height_m: of the pelvis of someone who stands, for a body of canonical size.
+        sit_first: who does not sit at the start sits down first, and has as long for that as `sit` has. A retry does,
+            since an attempt that failed leaves the body elsewhere.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True, serialize_by_alias=True)
@@ -89,6 +91,7 @@ class GetUpSpec(BaseTaskSpec):
     text: Text | None = None
     ahead_m: Metres = 0.3
     height_m: Metres = 0.9
+    sit_first: bool = False
     time_limit_s: TimeLimit = 13.0
     guidance: Guidance | None = None
 
@@ -105,3 +108,7 @@ class GetUpSpec(BaseTaskSpec):
         """The seat is there, where one is needed."""
         if self.from_ == "seat":
             check_mark(scene, self.mark, on_object=True)
+
+    def again(self) -> GetUpSpec:
+        """From a seat it needs someone who sits."""
+        return self if self.from_ == "floor" else self.model_copy(update={"sit_first": True})

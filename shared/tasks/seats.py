@@ -166,6 +166,9 @@ class GetUpTask(Task):
         self._spec = spec
         self._target: Array | None = None
         self._facing_rad: float | None = None
+        self._seat: MarkedObject | None = None
+        self._sit: SitTask | None = None
+        self._begin_tick = 0
         self._was_low = False
         self._approach = Approach("pelvis", RISE)
         self._stand = HaltTask(HaltSpec(guidance=spec.guidance))
@@ -177,8 +180,8 @@ class GetUpTask(Task):
 
     @property
     def time_limit_s(self) -> float:
-        """From the spec."""
-        return self._spec.time_limit_s
+        """From the spec, and as long again as `sit` has where that may come first."""
+        return self._spec.time_limit_s + (SitSpec().time_limit_s if self._spec.sit_first else 0.0)
 
     @property
     def upright(self) -> bool:
@@ -192,25 +195,34 @@ class GetUpTask(Task):
 
     @property
     def target_w_m(self) -> Array:
-        """(3,) where the pelvis should be; raises ConflictError before `start` has fixed it."""
+        """(3,) where the pelvis should be; raises ConflictError before the rise has begun, which fixes it."""
         if self._target is None:
-            raise ConflictError("the task was not started, its target is not known yet")
+            raise ConflictError("the rise has not begun, its target is not known yet")
         return self._target
 
     def start(self, view: BodyView) -> None:
-        """Fix the place; raises InvalidInputError where the scene has no such seat."""
-        spec, height = self._spec, self._spec.height_m * view.scale
-        self._was_low = bool(view.pos_w_m[PELVIS, 2] < LOW_SHARE * height)
-        xy, self._facing_rad = view.pelvis_xy_m, None
-        if spec.from_ == "seat":
-            seat = marked_object(view, spec.mark)
+        """Fix the place, or sit down first; raises InvalidInputError where the scene has no such seat."""
+        spec = self._spec
+        self._target, self._sit, self._begin_tick = None, None, view.tick
+        self._was_low = bool(view.pos_w_m[PELVIS, 2] < LOW_SHARE * spec.height_m * view.scale)
+        self._seat = marked_object(view, spec.mark) if spec.from_ == "seat" else None
+        if self._seat is not None and spec.sit_first and not self._was_low:
+            self._sit = SitTask(SitSpec(mark=spec.mark, guidance=spec.guidance))
+            self._sit.start(view)
+        else:
+            self._begin(view)
+
+    def _begin(self, view: BodyView) -> None:
+        """Where to stand: ahead of the edge of the seat, or where it lies."""
+        xy, self._facing_rad, seat = view.pelvis_xy_m, None, self._seat
+        if seat is not None:
             place = seat.place(view)
-            xy, self._facing_rad = before_edge(seat, view, spec.ahead_m), place.heading_rad
             # A wide seat is left straight ahead from where one sits on it.
             left = np.array([-sin(place.heading_rad), cos(place.heading_rad)])
             aside = float((view.pelvis_xy_m - place.position_w_m[:2]) @ left)
-            xy = xy + left * np.clip(aside, -seat.half_size_m[1], seat.half_size_m[1])
-        self._target = np.array([xy[0], xy[1], height])
+            aside = float(np.clip(aside, -seat.half_size_m[1], seat.half_size_m[1]))
+            xy, self._facing_rad = before_edge(seat, view, self._spec.ahead_m) + left * aside, place.heading_rad
+        self._target = np.array([xy[0], xy[1], self._spec.height_m * view.scale])
         self._approach.forget()
         self._stand.start(view)
 
@@ -219,6 +231,10 @@ class GetUpTask(Task):
 
         Nobody gets up into the air: where the place lies ahead of the feet, a step follows once the body stands.
         """
+        if self._sit is not None:
+            return self._sit.goal(view, plan_tick)
+        if self._target is None:
+            self._begin(view)
         pelvis, target = view.pos_w_m[PELVIS], self.target_w_m
         if float(np.linalg.norm(pelvis - target)) < 0.2 * view.scale:
             return self._stand.goal(view, plan_tick)
@@ -236,13 +252,19 @@ class GetUpTask(Task):
 
     def status(self, trace: Trace) -> Status:
         """Done when it has stood on both feet for half a second."""
+        if self._sit is not None and self._sit.status(trace) == "done":
+            self._sit, self._was_low, self._begin_tick = None, True, trace.start_tick + len(trace)
+        if self._target is None:
+            return "running"
         return "done" if self._outcome(trace).met_tick is not None else "running"
 
     def judge(self, trace: Trace) -> Verdict:
         """Rules of `shared.tasks.object_rules.get_up`; `was_low`: the release counts only those that sat before."""
+        measures = {"was_low": float(self._was_low)}
+        if self._target is None:
+            return Verdict(False, False, False, bool(trace.fallen.any()), trace.duration_s, measures)
         out, floor = self._outcome(trace), self._spec.from_ == "floor"
         fell = bool(trace.fallen.any()) if not floor else out.met_tick is not None and not out.strict
-        measures = {"was_low": float(self._was_low)}
         if len(trace):
             measures["end_distance_m"] = float(np.linalg.norm(trace.pos_w_m[-1, PELVIS] - self.target_w_m))
         seconds = trace.duration_s if out.met_tick is None else out.met_tick / TICK_HZ
@@ -250,7 +272,8 @@ class GetUpTask(Task):
         return Verdict(strict, out.paper, out.code, fell, seconds, measures)
 
     def _outcome(self, trace: Trace) -> object_rules.Outcome:
-        return object_rules.get_up(trace, self.target_w_m, self._spec.from_ == "floor")
+        """Of the rise alone, where sitting down came before it."""
+        return object_rules.get_up(trace.since(self._begin_tick), self.target_w_m, self._spec.from_ == "floor")
 
 
 def _known(seat: MarkedObject | None) -> MarkedObject:

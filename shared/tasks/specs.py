@@ -53,6 +53,10 @@ class BaseTaskSpec(Spec):
     def check(self, scene: Scene | None) -> None:
         """Raise InvalidInputError where the scene lacks what the task is about; None: nobody knows the scene yet."""
 
+    def again(self) -> BaseTaskSpec:
+        """What is tried after it has failed; by default the same."""
+        return self
+
 
 class ReachTuning(Spec):
     """How a reach is cut into plans.

@@ -19,6 +19,7 @@ from shared.tasks.factory import BUILT_IN, KINDS, TaskSpec, make_task
 from shared.tasks.interface import BodyView, Trace
 from shared.tasks.object_specs import GetUpSpec, SitSpec, StrikeSpec
 from shared.tasks.specs import ReachSpec, VelocitySpec
+from shared.tasks.world import World
 from shared.text.wording import STAND_TEXT
 
 STAND = standing_clip(1, 30).positions_w_m[0]
@@ -179,6 +180,39 @@ def test_getting_up_goes_over_the_feet_and_ends_before_the_seat_or_where_it_lay(
     assert goal.may_be_low
     assert goal.targets[0].position_w_m == pytest.approx((2.0, 1.0, 0.9), abs=0.02)
     assert (task.posture, floor.posture, make_task(SitSpec(), 0).posture) == ("upright", "from_floor", "seated")
+
+
+def test_a_retry_of_getting_up_sits_down_first() -> None:
+    spec = GetUpSpec().again()
+    assert GetUpSpec.model_validate({"from": "floor"}).again() == GetUpSpec.model_validate({"from": "floor"})
+    task = make_task(spec, 0)
+    standing, facing = view("sofa", -0.6), view("sofa", -0.6, facing=0.1)
+    task.start(standing)
+    assert task.time_limit_s == pytest.approx(13.0 + 17.0)
+    assert "sitting down" in str(task.goal(facing, 0).text)
+    verdict = task.judge(Trace(1, np.repeat(standing.pos_w_m[None], 30, axis=0), np.zeros(30, dtype=bool)))
+    assert (verdict.strict, verdict.code, verdict.measures["was_low"]) == (False, False, 0.0)
+    sat = view("sofa", -1.3, lift=STAND_TO_SEAT_M)
+    trace = Trace(1, np.repeat(sat.pos_w_m[None], 30, axis=0), np.zeros(30, dtype=bool), seated_world(30))
+    assert task.status(trace) == "running"
+    assert "getting up" in str(task.goal(sat, 30).text)
+    # Who sits already gets up at once.
+    low = make_task(spec, 0)
+    low.start(sat)
+    assert "getting up" in str(low.goal(sat, 0).text)
+
+
+STAND_TO_SEAT_M = 0.344 + 0.12 - float(STAND[0, 2])
+
+
+def seated_world(ticks: int) -> World:
+    """The sofa carrying the whole of 72 kg at every tick."""
+    (sofa,) = load_scene("sofa").bodies
+    return World(
+        ("sofa",), np.repeat(pose_of(sofa)[None, None].astype(np.float64), ticks, axis=0), np.zeros((ticks, 1, 6)),
+        np.arange(ticks), np.zeros(ticks, dtype=np.int64), np.zeros(ticks, dtype=np.int64),
+        np.full(ticks, 72 * 9.81 / 30),
+    )  # fmt: skip
 
 
 def test_who_never_sat_has_not_got_up() -> None:
