@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from orchestrator.core.lead import PlanLead
 from orchestrator.core.loop import CharacterLoop, GoalSource, PlanTiming, timing_of, view_of
 from orchestrator.core.pacing import PlanPacer
 from shared.errors import MotionLoopError, SimulationError, TransportError
@@ -155,7 +156,7 @@ class _Request:
 
 
 class RealtimeDriver:
-    """The tracker's clock runs; plans are requested `plan_lead_ticks` ahead and handed over when they come.
+    """The tracker's clock runs; plans are requested as far ahead as `PlanLead` says and handed over when they come.
 
     A cycle is one look at the character (`poll_s`, sooner when a plan comes): it never waits for the planner. One plan
     is under way at a time. A command that comes meanwhile lets it land and is planned for right after it, so that
@@ -172,6 +173,7 @@ class RealtimeDriver:
         self._look_at_s = time.monotonic()
         self._request: _Request | None = None
         self._retry_at_s = 0.0
+        self._lead = PlanLead(loop.settings.plan_lead_ticks)
         self._trouble: str | None = None
         self._bad = _BadPlans()
 
@@ -221,8 +223,7 @@ class RealtimeDriver:
         self._look_at_s = min(due_at_s, max(time.monotonic(), self._look_at_s))
 
     def _launch(self, source: GoalSource, tick: int) -> None:
-        settings = self._loop.settings
-        start_tick = self._pacer.start_tick(tick, settings.plan_lead_ticks, self._loop.planner_spec().fps)
+        start_tick = self._pacer.start_tick(tick, self._lead.ticks, self._loop.planner_spec().fps)
         goal = source(view_of(self._state), start_tick)
         task = asyncio.create_task(self._loop.make_plan(goal, tick, start_tick))
         self._request = _Request(task, start_tick, self._loop.period_ticks(goal), goal.text)
@@ -246,10 +247,11 @@ class RealtimeDriver:
             return []
         self._trouble = None
         self._bad.clear()
-        total_ms = (time.perf_counter() - request.began_s) * 1e3
+        took_s = time.perf_counter() - request.began_s
+        self._lead.took(took_s)
         reply = await self._loop.track(plan)
         if reply.accepted:
             self._pacer.entered(plan.start_tick, request.period_ticks)
         else:
             self._next_plan_tick = self._state.tick
-        return [timing_of(plan, self._loop.plans_made - 1, reply, total_ms, request.text)]
+        return [timing_of(plan, self._loop.plans_made - 1, reply, took_s * 1e3, request.text)]

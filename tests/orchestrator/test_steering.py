@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.fast_commands import measure, steered
 from orchestrator.core.character import CharacterSession, CharacterSpec
 from orchestrator.core.command import Command, Target
 from orchestrator.core.events import EventLog
@@ -54,6 +55,14 @@ async def drag(planner: str, tracker: str, interval_s: float) -> None:
 def test_plans_land_and_the_last_target_is_reached(stack_with_dip: Stack, interval_s: float) -> None:
     endpoints = stack_with_dip.planner.address, stack_with_dip.tracker.address
     asyncio.run(asyncio.wait_for(drag(*endpoints, interval_s), GIVE_UP_S))
+
+
+@pytest.mark.slow
+def test_ten_commands_a_second_get_as_many_plans_as_the_planner_makes(stack_with_dip: Stack) -> None:
+    """20 s to a fixed target and 20 s after one that goes round; the planner's own rate is taken in the same run."""
+    endpoints = stack_with_dip.planner.address, stack_with_dip.tracker.address
+    result = asyncio.run(measure(*endpoints, rate=10.0, seconds=20.0, seed=1, plugins=("dip", "kinematic")))
+    assert steered(result), result
 
 
 async def ask(planner: str, tracker: str) -> None:
