@@ -18,8 +18,8 @@ class PlanLead:
     """As far as the settings say, and farther where plans take longer than that.
 
     A plan that comes too late is dropped by the tracker. Where the planner is slow, every one would be, and the
-    character would never move; so what most of the last plans took is waited for (their upper quartile: one that hung is
-    no measure).
+    character would never move; so what most of the last plans took is waited for (their upper quartile: one that hung
+    is no measure).
 
     Args:
         least_ticks: the settings' lead.
