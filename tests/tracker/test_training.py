@@ -170,10 +170,10 @@ def test_episodes_end_before_the_preview_runs_over_the_clip(references: Referenc
 
 def test_reward_is_highest_on_the_clip_that_was_asked_for(references: ReferenceSet) -> None:
     pos, rot = references.pos_w_m[:5], references.rot_xy[:5]
-    assert rewards.position_reward(pos, pos) == pytest.approx(1.0)
+    assert rewards.position_reward(pos, pos) == pytest.approx(0.5)
     assert rewards.rotation_reward(rot, rot) == pytest.approx(1.0, abs=2e-3)
     moved = pos + np.float32([0.1, 0, 0])
-    assert rewards.position_reward(moved, pos) == pytest.approx(np.exp(-1.0), rel=1e-4)
+    assert rewards.position_reward(moved, pos) == pytest.approx(0.4 * np.exp(-1.0) + 0.1 * np.exp(-0.1), rel=1e-4)
     angle = 0.3
     turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]], np.float32)
     assert rewards.rotation_reward(rot @ turn.T, rot) == pytest.approx(np.exp(-10 * angle**2), rel=2e-3)

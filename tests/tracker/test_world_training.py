@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from tracker_service.simulation.humanoid import humanoid
 from tracker_service.simulation.scene import build_scene
 from tracker_service.training.dataset import MotionInput, ReferenceSet, prepare
 from tracker_service.training.env import EnvSettings, TrackingEnv
-from tracker_service.training.sampling import FailureTable
+from tracker_service.training.sampling import FailureTable, kin_of
 from tracker_service.training.seats import HEIGHTS
 from tracker_service.training.world.body import State, tensor
 from tracker_service.training.world.learner import Learner
@@ -85,7 +86,9 @@ def test_simulation_and_imagination_see_want_and_judge_the_same(references: Refe
     stretched = far * torch.tensor([1.0, 1.0, 1.0, 20.0, 20.0, 20.0])[:, None]
     expected = env.failed(stretched.numpy())
     assert expected.any() and not expected.all()
-    assert np.array_equal(~still_tracked(stretched, SMALL.stop_mean_m, SMALL.stop_max_m).numpy(), expected)
+    assert np.array_equal(
+        ~still_tracked(stretched, SMALL.stop_mean_m, SMALL.stop_max_m, torch.ones(6)).numpy(), expected
+    )
     env.close()
 
 
@@ -219,6 +222,36 @@ def test_windows_never_cross_a_cut_and_failures_are_not_bootstrapped() -> None:
     assert facts[0] == (0.5 + 0.25 + 0.125, 3, 0.125)
     assert facts[6][0] == 0.5 + 0.25 and facts[6][2] == 0.0  # fails in its second tick
     assert facts[11] == (0.5, 12, 0.5)  # cut short at 12: the value there stands for the rest
+
+
+def test_bodies_on_the_floor_may_be_farther_from_their_way(references: ReferenceSet) -> None:
+    floor = replace(references, behaviours=np.array(["get_up", "stand"]))
+    env = TrackingEnv(HUMAN, floor, SMALL, seed=0)
+    env.start_at(np.array([0, 1, 0, 1, 0, 1]))
+    distance = np.full((6, len(HUMAN.skeleton)), 0.4, np.float32)
+    distance[4:] = 0.6
+    assert env.failed(distance).tolist() == [False, True, False, True, True, True]
+    learner = Learner(HUMAN, floor, SMALL, TINY, env.observation_size, 0)
+    slack = learner.references.slack[torch.from_numpy(env.clip)]
+    going = still_tracked(torch.from_numpy(distance), SMALL.stop_mean_m, SMALL.stop_max_m, slack)
+    assert going.tolist() == [True, False, True, False, False, False]
+    env.close()
+
+
+def test_clips_that_were_not_met_yet_are_judged_by_their_kin() -> None:
+    names = ["made/train/kick_at/1", "made/train/kick_at/2", "cmu/1", "cmu/2"]
+    kin = kin_of(["kick", "kick", "walk", "walk"], names)
+    assert kin[0] == kin[1] != kin[2] == kin[3]
+    table = FailureTable(np.full(4, 120), np.full(4, 0.25), floor=0.15, tail_ticks=10, kin=kin)
+    for _ in range(300):
+        table.note(0, 0, 40, failed=True)
+        table.note(2, 0, 115, failed=False)
+    f = table.estimate().reshape(4, 4)
+    assert f[1, 1] > 0.9 and f[3, 1] < 0.1  # their kin fail there, and pass there
+    assert f[1, 2] == 0.5  # nobody came that far
+    for _ in range(40):
+        table.note(1, 0, 115, failed=False)
+    assert table.estimate().reshape(4, 4)[1, 1] < 0.3  # what a clip does itself counts more in the end
 
 
 def test_failures_are_met_again_where_they_happen() -> None:

@@ -31,7 +31,7 @@ from tracker_service.simulation.kinematics import BodyKinematics, BodyStates
 from tracker_service.training import rewards
 from tracker_service.training.dataset import ReferenceSet
 from tracker_service.training.knocks import Knocks
-from tracker_service.training.sampling import FailureTable
+from tracker_service.training.sampling import FailureTable, kin_of
 from tracker_service.training.seats import CONTROL_SPEC, HEIGHTS, height_points, mocap_of, seat_heights, training_model
 
 F32 = npt.NDArray[np.float32]
@@ -42,6 +42,15 @@ SUBSTEPS = PHYSICS_HZ // TICK_HZ
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 KNOCKED = ("wrist", "elbow", "foot", "knee")
 _TAIL_TICKS = max(PREVIEW_TICKS) + 1
+
+
+FLOOR_SLACK = 2.0
+FLOOR_BEHAVIOURS = ("get_up", "lie_down")
+
+
+def slack_of(behaviours: npt.NDArray[np.str_]) -> npt.NDArray[np.float32]:
+    """(C,) factor on the distances that end an episode: a body on the floor may get up otherwise than it was shown."""
+    return np.where(np.isin(behaviours, FLOOR_BEHAVIOURS), FLOOR_SLACK, 1.0).astype(np.float32)
 
 
 class EnvSettings(BaseModel):
@@ -127,7 +136,9 @@ class TrackingEnv:
         self.jump_m = np.zeros((b, 2))
         self.previous_action = np.zeros((b, h), dtype=np.float32)
         self.begun = np.zeros(b, dtype=np.int64)
-        self.failures = FailureTable(references.length, references.weight, settings.fail_floor, 2 * _TAIL_TICKS)
+        kin = kin_of(references.behaviours.tolist(), references.names.tolist())
+        self.failures = FailureTable(references.length, references.weight, settings.fail_floor, 2 * _TAIL_TICKS, kin)
+        self._slack = slack_of(references.behaviours)
         self.ratio = human.damping / human.stiffness
         self.observation_size = observation_size(len(human.skeleton), h) + (HEIGHTS if settings.heights else 0)
         self._feet = (human.skeleton.index("left_foot"), human.skeleton.index("right_foot"))
@@ -314,7 +325,7 @@ class TrackingEnv:
         distance = np.linalg.norm(pos - target, axis=-1)
         rot_xy = bodies.rot_w[rows, ..., :2].swapaxes(-1, -2).astype(np.float32)
         reward = (
-            0.5 * rewards.position_reward(pos, target)
+            rewards.position_reward(pos, target)
             + 0.3 * rewards.rotation_reward(rot_xy, ref.rot_xy[now])
             + 0.1 * rewards.velocity_reward(bodies.linvel_w_mps[rows].astype(np.float32), ref.linvel_w_mps[now])
             + 0.1 * rewards.hinge_rate_reward(self.qvel[rows, 6:].astype(np.float32), ref.qvel[now, 6:])
@@ -324,8 +335,9 @@ class TrackingEnv:
 
     def failed(self, distance: F32) -> Bools:
         """(B,) whether joint distances (B, J) end an episode."""
-        s = self.settings
-        return np.asarray((distance.mean(axis=-1) > s.stop_mean_m) | (distance.max(axis=-1) > s.stop_max_m))
+        s, slack = self.settings, self._slack[self.clip]
+        far = distance.max(axis=-1) > s.stop_max_m * slack
+        return np.asarray((distance.mean(axis=-1) > s.stop_mean_m * slack) | far)
 
     def over(self) -> Bools:
         """(B,) whether an episode ends here by time or because its clip does."""

@@ -186,6 +186,8 @@ class Trainer:
                 for name in ("state", "clip", "time", "age", "jump_m", "previous_action", "begun")
             },
             "failures": torch.from_numpy(env.failures.rate.copy()),
+            "failure_visits": torch.from_numpy(env.failures.visits.copy()),
+            "kin_failures": torch.from_numpy(env.failures.kin_rate.copy()),
             "observation": torch.from_numpy(self.observation.copy()),
         }
         partial = path.with_suffix(".partial")
@@ -212,6 +214,8 @@ class Trainer:
             self.observation = env.reset_all()
             return
         env.failures.rate[:] = state["failures"].numpy()
+        env.failures.visits[:] = state["failure_visits"].numpy()
+        env.failures.kin_rate[:] = state["kin_failures"].numpy()
         self.rng.bit_generator.state, env.rng.bit_generator.state = json.loads(state["rng"])
         for name, value in state["env"].items():
             setattr(env, name, value.numpy().copy())

@@ -14,7 +14,7 @@ from shared.processor import bf16_pays
 from tracker_service.policy.observations import PREVIEW_TICKS
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.training.dataset import ReferenceSet
-from tracker_service.training.env import EnvSettings
+from tracker_service.training.env import EnvSettings, slack_of
 from tracker_service.training.network import mlp
 from tracker_service.training.world.body import Bodies, Kinematics, Mirror, State, tensor
 from tracker_service.training.world.imagination import Imagination, Sight, can_compile, mixed
@@ -53,13 +53,15 @@ class References:
     start: Tensor
     length: Tensor
     seat: Tensor
+    slack: Tensor
 
     @classmethod
     def of(cls, s: ReferenceSet, device: torch.device | str) -> References:
         """On the device."""
         pos, vel, rot, qpos, qvel = (tensor(a, device) for a in (s.pos_w_m, s.linvel_w_mps, s.rot_xy, s.qpos, s.qvel))
         start, length = (torch.from_numpy(a).to(device) for a in (s.start, s.length))
-        return cls(pos, vel, rot, qpos, qvel, start, length, tensor(s.seat, device))
+        slack = tensor(slack_of(s.behaviours), device)
+        return cls(pos, vel, rot, qpos, qvel, start, length, tensor(s.seat, device), slack)
 
     def at(self, clip: Tensor, time: Tensor, jump_m: Tensor, decay: float) -> Reference:
         """What is previewed at a tick (B,) of clips (B,), displaced by jumps (B, 2) that decay from now on."""
@@ -237,7 +239,7 @@ class Learner:
         state = self.state_at(replay, at)
         clip, time = self._tensor(replay.clip[index]), self._tensor(replay.time[index])
         jump, previous = replay.jump_m[at], replay.previous_action[at].float()
-        seat = self.references.seat[clip]
+        seat, slack = self.references.seat[clip], self.references.slack[clip]
         for module in (self.model, self.critic):
             module.requires_grad_(False)
         if self.compiled:
@@ -257,7 +259,7 @@ class Learner:
             total = total + alive * (1.0 - s.gamma) * s.gamma**k * reward
             beyond = beyond + ((seen.action.abs() - 1.0).clamp(min=0) ** 2).sum(-1).mean()
             power = power + seen.power_kw.detach().mean()
-            alive = alive * still_tracked(seen.distance_m.detach(), env.stop_mean_m, env.stop_max_m)
+            alive = alive * still_tracked(seen.distance_m.detach(), env.stop_mean_m, env.stop_max_m, slack)
         ref = self.references.at(clip, time + s.horizon, jump * env.jump_decay**s.horizon, env.jump_decay)
         last = observe(state, bodies, ref, self.heights_of(bodies, seat))
         total = total + alive * s.gamma**s.horizon * self.value(last)

@@ -87,8 +87,10 @@ def tick_reward(state: State, bodies: Bodies, ref: Reference) -> tuple[Tensor, T
     au, av, bu, bv = (a * u).sum(-1), (a * v).sum(-1), (b * u).sum(-1), (b * v).sum(-1)
     cosine = ((au + bv + au * bv - av * bu - 1.0) / 2.0).clamp(-0.9999, 0.9999)
     angle = torch.arccos(cosine)
+    mean = square.mean(-1)
     reward = (
-        0.5 * torch.exp(-100.0 * square.mean(-1))
+        0.4 * torch.exp(-100.0 * mean)
+        + 0.1 * torch.exp(-10.0 * mean)
         + 0.3 * torch.exp(-10.0 * (angle**2).mean(-1))
         + 0.1 * torch.exp(-((bodies.linvel_w_mps - ref.linvel_w_mps) ** 2).sum(-1).mean(-1))
         + 0.1 * torch.exp(-0.1 * ((state.rate_radps - ref.qvel[:, 6:]) ** 2).mean(-1))
@@ -96,9 +98,9 @@ def tick_reward(state: State, bodies: Bodies, ref: Reference) -> tuple[Tensor, T
     return reward, (square + 1e-12).sqrt()
 
 
-def still_tracked(distance: Tensor, stop_mean_m: float, stop_max_m: float) -> Tensor:
-    """(B,) whether joint distances (B, J) let an episode go on."""
-    return (distance.mean(-1) < stop_mean_m) & (distance.max(-1).values < stop_max_m)
+def still_tracked(distance: Tensor, stop_mean_m: float, stop_max_m: float, slack: Tensor) -> Tensor:
+    """(B,) whether joint distances (B, J) let an episode go on, the limits times the slack (B,) of its clip."""
+    return (distance.mean(-1) < stop_mean_m * slack) & (distance.max(-1).values < stop_max_m * slack)
 
 
 @torch.no_grad()

@@ -24,6 +24,7 @@ from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.training.dataset import ReferenceSet
 from tracker_service.training.env import EnvSettings, TrackingEnv
 from tracker_service.training.evaluate import evaluate
+from tracker_service.training.sampling import KIN_SECONDS
 from tracker_service.training.seats import HEIGHTS
 from tracker_service.training.world.learner import Learner
 from tracker_service.training.world.quality import drift_mm, response_cosine
@@ -196,6 +197,9 @@ class WorldTrainer:
             "clip_names": [str(name) for name in env.references.names],
             "env": {name: torch.from_numpy(np.array(getattr(env, name))) for name in _ENV_ARRAYS},
             "failures": torch.from_numpy(env.failures.rate.copy()),
+            "failure_visits": torch.from_numpy(env.failures.visits.copy()),
+            "kin": [str(name) for name in env.failures.kin_names],
+            "kin_failures": torch.from_numpy(env.failures.kin_rate.copy()),
             "failure_bins": torch.from_numpy(env.failures.bins.copy()),
             "observation": torch.from_numpy(self.observation.copy()),
         }
@@ -235,15 +239,22 @@ class WorldTrainer:
 
     def _take_failures(self, state: dict[str, Any]) -> None:
         table = self.env.failures
-        old_rates, first = state["failures"].numpy(), 0
+        both = torch.stack([state["failures"], state.get("failure_visits", 0.0 * state["failures"])]).numpy()
         old: dict[str, npt.NDArray[np.float64]] = {}
+        first = 0
         for name, bins in zip(state["clip_names"], state["failure_bins"].tolist(), strict=True):
-            old[name] = old_rates[first : first + bins]
+            old[name] = both[:, first : first + bins]
             first += bins
         for clip, name in enumerate(self.env.references.names):
             known = old.get(str(name))
-            if known is not None and len(known) == table.bins[clip]:
-                table.rate[table.first[clip] : table.first[clip] + table.bins[clip]] = known
+            if known is not None and known.shape[1] == table.bins[clip]:
+                here = slice(table.first[clip], table.first[clip] + table.bins[clip])
+                table.rate[here], table.visits[here] = known
+        kin_rates = state.get("kin_failures", torch.zeros(0)).view(-1, KIN_SECONDS).numpy()
+        kin = dict(zip(state.get("kin", []), kin_rates, strict=True))
+        rates = table.kin_rate.reshape(-1, KIN_SECONDS)
+        for place, name in enumerate(table.kin_names):
+            rates[place] = kin.get(str(name), rates[place])
 
     def _take_ring(self, path: Path, say: Callable[[str], None]) -> None:
         ring = self.replay
