@@ -28,6 +28,7 @@ from tracker_service.training.dataset import (
     load_bank,
     prepare,
     prepare_cached,
+    smooth_stretches,
 )
 from tracker_service.training.env import EnvSettings, TrackingEnv
 from tracker_service.training.evaluate import evaluate
@@ -272,6 +273,21 @@ def test_long_pieces_of_a_bank_are_cut_with_an_overlap(tmp_path: Path) -> None:
     np.savez(tmp_path / "long.npz", positions_w_m=whole)
     cuts = [(m.name, m.positions_w_m[0, 0, 0], len(m.positions_w_m)) for m in load_bank(tmp_path)]
     assert cuts == [("long@0", 0, 180), ("long@120", 120, 180), ("long@240", 240, 180), ("long@360", 360, 140)]
+
+
+def test_plans_are_cut_where_they_jump_to_the_body(tmp_path: Path) -> None:
+    way = np.zeros((200, 3))
+    way[:, 0] = np.arange(200) * 0.05  # 1.5 m/s
+    assert smooth_stretches(way) == [(0, 200)]
+    way[80:, 1] += 0.1
+    (first, end), (second, last) = smooth_stretches(way)
+    assert (first, last) == (0, 200) and 77 <= end <= 80 <= second <= 83
+    way[90:] += 0.2  # too soon after the first: what lies between is too short to follow
+    assert [b - a for a, b in smooth_stretches(way)] == [end, 200 - smooth_stretches(way)[1][0]]
+    positions = np.repeat(standing_clip(2, 30.0).positions_w_m[:1], 200, axis=0) + way[:, None]
+    np.savez(tmp_path / "plan.npz", positions_w_m=positions)
+    pieces = load_bank(tmp_path)
+    assert len(pieces) == 2 and sum(len(p.positions_w_m) for p in pieces) < 190
 
 
 def test_the_averaged_policy_lags_behind_and_survives_a_restart(references: ReferenceSet, tmp_path: Path) -> None:

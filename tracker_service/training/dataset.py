@@ -23,7 +23,9 @@ from tracker_service.training.seats import NO_SEAT, lowered, training_model
 F32 = npt.NDArray[np.float32]
 PLAN = "plan"
 """Behaviour of recorded plans."""
-PIECE_TICKS, PIECE_OVERLAP_TICKS = 180, 60
+PIECE_TICKS, PIECE_OVERLAP_TICKS, LEAST_PIECE_TICKS = 180, 60, 30
+JUMP_M = 0.045
+"""Change of the pelvis' step from one tick to the next: 40 m/s2, more than runs and jumps have."""
 JOB_CLIPS = 50
 PREPARATION = "6"
 """Changes whenever prepared arrays would come out differently; part of the cache's key."""
@@ -74,11 +76,22 @@ def seat_in(clip: ClipInfo) -> tuple[float, float, float, float]:
     return NO_SEAT if seat is None else (*seat.top_m, seat.heading_rad)
 
 
+def smooth_stretches(root_w_m: npt.NDArray[np.floating]) -> list[tuple[int, int]]:
+    """First tick and tick after the last of the stretches in which a root (T, 3) at 30 Hz never jumps."""
+    bend = np.linalg.norm(np.diff(root_w_m, n=2, axis=0), axis=-1)
+    jumps = np.flatnonzero(bend > JUMP_M) + 1
+    edges = [0, *(int(tick) for jump in jumps for tick in (jump - 1, jump + 2)), len(root_w_m)]
+    pairs = zip(edges[::2], edges[1::2], strict=True)
+    return [(first, last) for first, last in pairs if last - first >= LEAST_PIECE_TICKS]
+
+
 def load_bank(folder: Path) -> list[MotionInput]:
     """Pieces of a bank, all of one weight: plans made by `motionloop data bank`, or clips that name their `behaviour`
     (`training.falls`).
 
-    Plans are cut to a few seconds, overlapping, so that failing is noted, and practised, where it happens.
+    Plans are cut to a few seconds, overlapping, so that failing is noted, and practised, where it happens. They are
+    also cut where the pelvis jumps: there the next plan went on from where the body really was, and a body that
+    followed so far cannot follow on.
 
     Raises:
         InvalidInputError: no piece in the folder.
@@ -91,9 +104,11 @@ def load_bank(folder: Path) -> list[MotionInput]:
         if behaviour != PLAN:
             motions.append(MotionInput(path.stem, behaviour, 1.0, whole))
             continue
-        for begin in range(0, max(len(whole) - PIECE_TICKS // 2, 1), PIECE_TICKS - PIECE_OVERLAP_TICKS):
-            cut = whole[begin : begin + PIECE_TICKS]
-            motions.append(MotionInput(f"{path.stem}@{begin}", PLAN, 1.0, cut))
+        for first, last in smooth_stretches(whole[:, 0]):
+            end = max(last - PIECE_TICKS // 2, first + 1)
+            for begin in range(first, end, PIECE_TICKS - PIECE_OVERLAP_TICKS):
+                cut = whole[begin : min(begin + PIECE_TICKS, last)]
+                motions.append(MotionInput(f"{path.stem}@{begin}", PLAN, 1.0, cut))
     if not motions:
         raise InvalidInputError(f"no pieces in {folder}", field="bank", allowed="a folder of `motionloop data bank`")
     return motions
