@@ -17,8 +17,6 @@ def stand(frames: int = 60) -> Array:
     feet = {side: p[:, J[f"{side}_ankle"]].copy() for side in ("left", "right")}
     p = p - [0.0, 0.0, 0.02]
     for side, at in feet.items():
-        foot = p[:, J[f"{side}_foot"]] - p[:, J[f"{side}_ankle"]]
-        p[:, J[f"{side}_foot"]] = p[:, J[f"{side}_ankle"]] + foot
         p = solve_leg(p, side, at)
     return p
 
