@@ -57,7 +57,7 @@ class Work:
 
     def pin_memory(self) -> Work:
         """The same in memory that a GPU copies from beside its own work."""
-        return _mapped(self, Tensor.pin_memory)
+        return _mapped(self, lambda tensor: tensor.contiguous().pin_memory())
 
 
 def draw(

@@ -167,7 +167,7 @@ class Kinematics:
     def slots(self, values: Tensor) -> Tensor:
         """Hinge values (B, H) spread over (B, J-1, 3), absent hinges zero."""
         padded = torch.cat([values, torch.zeros_like(values[:, :1])], -1)
-        return padded[:, self._slot].view(len(values), self.bodies - 1, 3)
+        return padded.index_select(1, self._slot).view(len(values), self.bodies - 1, 3)
 
     def __call__(self, state: State) -> Bodies:
         """World states of all bodies."""
@@ -188,17 +188,17 @@ class Kinematics:
         vel, ang = state.linvel_w_mps[:, None], rotate(state.rot_w, state.angvel_b_radps)[:, None]
         all_pos, all_rot, all_vel = [pos], [rot], [vel]
         for joints, place, offset in self._levels:
-            parent = rot[:, place]
+            parent = rot.index_select(1, place)
             arm = rotate(parent, offset.expand(len(pos), -1, -1))
-            turn = ang[:, place]
-            pos = pos[:, place] + arm
-            vel = vel[:, place] + torch.linalg.cross(turn, arm)
-            ang = turn + rotate(parent, spin[:, joints])
-            rot = small_matmul(parent, local[:, joints])
+            turn = ang.index_select(1, place)
+            pos = pos.index_select(1, place) + arm
+            vel = vel.index_select(1, place) + torch.linalg.cross(turn, arm)
+            ang = turn + rotate(parent, spin.index_select(1, joints))
+            rot = small_matmul(parent, local.index_select(1, joints))
             all_pos.append(pos)
             all_rot.append(rot)
             all_vel.append(vel)
-        return Bodies(*(torch.cat(parts, 1)[:, self._order] for parts in (all_pos, all_rot, all_vel)))
+        return Bodies(*(torch.cat(parts, 1).index_select(1, self._order) for parts in (all_pos, all_rot, all_vel)))
 
 
 class Mirror:

@@ -19,6 +19,7 @@ from tracker_service.training.network import mlp
 from tracker_service.training.world.body import Bodies, Kinematics, Mirror, State, tensor
 from tracker_service.training.world.imagination import Imagination, Sight, can_compile, mixed
 from tracker_service.training.world.model import WorldModel, model_loss
+from tracker_service.training.world.passes import Pass
 from tracker_service.training.world.replay import Places, Replay, Spots
 from tracker_service.training.world.settings import WorldSettings
 from tracker_service.training.world.sight import Reference, observe, still_tracked, support_heights
@@ -112,7 +113,8 @@ class Learner:
         self.averaged = deepcopy(self.actor)
         self.target_critic = deepcopy(self.critic)
         self.bf16 = has_bf16(device) if s.bf16 is None else s.bf16
-        self.compiled = can_compile(device) if s.compiled is None else s.compiled
+        self.recorded = device.type == "cuda" if s.recorded is None else s.recorded
+        self.compiled = (can_compile(device) and not self.recorded) if s.compiled is None else s.compiled
         self.imagination = Imagination(
             human, env, self.kinematics, self.sight, self.actor, self.model, self.bf16, self.compiled, device
         )
@@ -120,6 +122,11 @@ class Learner:
             "actor": torch.optim.Adam(self.actor.parameters(), lr=s.policy_rate, eps=1e-5),
             "critic": torch.optim.Adam(self.critic.parameters(), lr=s.critic_rate),
             "model": torch.optim.Adam(self.model.parameters(), lr=s.model_rate, eps=1e-6),
+        }
+        self._passes = {
+            "actor": Pass(self._policy_pass, self.actor.parameters(), self.recorded),
+            "critic": Pass(self._critic_pass, self.critic.parameters(), self.recorded),
+            "model": Pass(self._model_pass, self.model.parameters(), self.recorded),
         }
         self.policy_updates = 0
 
@@ -184,33 +191,37 @@ class Learner:
         s = self.settings
         places = replay.draw(rng, s.model_batch, s.model_ticks)
         count = len(places.slot)
-        if count < s.model_batch:  # a compiled tick knows one batch size
+        if count < s.model_batch:  # a compiled or recorded update knows one batch size
             return {}
         which = torch.from_numpy(rng.random(count) < s.mirrored_share).to(self.device)
-        at = self.spots(places)
-        state = self.mirror.some(self.state_at(replay, at.later(0)), which)
+        window = self.spots(places).window(s.model_ticks + 1)
+        loss, first, drift = self._passes["model"](
+            replay.qpos[window], replay.qvel[window], replay.target[window], self.seats_at(replay, places), which
+        )
+        self._step("model", self.model, MODEL_GRADIENT_NORM)
+        return {"model_loss": float(loss), "model_one_tick": float(first), "model_drift_mm": 1e3 * float(drift)}
+
+    def _model_pass(
+        self, qpos: Tensor, qvel: Tensor, target: Tensor, seat: Tensor, which: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Loss of the model over windows (T + 1, B, ...), mirrored where `which` (B,); error after one tick, in units
+        of the hinges' usual change, and the root's after all."""
+        ticks = self.settings.model_ticks
+        state = self.mirror.some(State.of(qpos[0], qvel[0]), which)
         if self.compiled:
             state = with_history(state)
         bodies = self.kinematics(state)
-        seat = self.mirror.some_seats(self.seats_at(replay, places), which)
+        seat = self.mirror.some_seats(seat, which)
         loss = torch.zeros((), device=self.device)
-        for k in range(s.model_ticks):
-            target = self.mirror.some_hinges(replay.target[at.later(k)], which)
-            heights = self.heights_of(bodies, seat)
-            state, bodies = self.imagination.model_tick(state, bodies, target, heights)
-            true = self.mirror.some(self.state_at(replay, at.later(k + 1)), which)
+        for k in range(ticks):
+            wanted = self.mirror.some_hinges(target[k], which)
+            state, bodies = self.imagination.model_tick(state, bodies, wanted, self.heights_of(bodies, seat))
+            true = self.mirror.some(State.of(qpos[k + 1], qvel[k + 1]), which)
             loss = loss + model_loss(self.model, state, true)
             if k == 0:
                 scale = self.model.scale[6 : 6 + self.model.hinges]
-                first = ((state.rate_radps - true.rate_radps) / scale).detach().abs().mean()
-        loss = loss / s.model_ticks
-        self._step("model", self.model, loss, MODEL_GRADIENT_NORM)
-        drift = (state.pos_w_m - true.pos_w_m).detach().norm(dim=-1).mean()
-        return {
-            "model_loss": float(loss.detach()),
-            "model_one_tick": float(first),
-            "model_drift_mm": 1e3 * float(drift),
-        }
+                first = ((state.rate_radps - true.rate_radps) / scale).abs().mean()
+        return loss / ticks, first, (state.pos_w_m - true.pos_w_m).norm(dim=-1).mean()
 
     def update_critic(self, replay: Replay, rng: np.random.Generator) -> dict[str, float]:
         """One step on n-step returns, bootstrapped by the slowly moving target critic."""
@@ -219,29 +230,47 @@ class Learner:
         with torch.no_grad():
             rest = self.value(replay.observation[self.spots(after).later(0)], target=True)
             wanted = self._tensor(total) + self._tensor(factor) * rest
-        value = self.value(replay.observation[self.spots(places).later(0)])
-        loss = ((value - wanted) ** 2).mean()
-        self._step("critic", self.critic, loss, None)
+        (loss,) = self._passes["critic"](replay.observation[self.spots(places).later(0)], wanted)
+        self._step("critic", self.critic, None)
         with torch.no_grad():
             for slow, now in zip(self.target_critic.parameters(), self.critic.parameters(), strict=True):
                 slow.lerp_(now, TARGET_CRITIC_SHARE)
-        explained = 1.0 - float(loss.detach()) / (float(wanted.var()) + 1e-8)
-        return {"critic_loss": float(loss.detach()), "critic_explained": explained}
+        explained = 1.0 - float(loss) / (float(wanted.var()) + 1e-8)
+        return {"critic_loss": float(loss), "critic_explained": explained}
+
+    def _critic_pass(self, observation: Tensor, wanted: Tensor) -> tuple[Tensor]:
+        return (((self.value(observation) - wanted) ** 2).mean(),)
 
     def update_policy(self, replay: Replay, rng: np.random.Generator) -> dict[str, float]:
         """One step up the gradient of imagined reward and the critic's value where imagination ends."""
-        s, env = self.settings, self.env
+        s = self.settings
         places: Places = replay.draw(rng, s.policy_batch, 1, s.recent_ticks)
         if len(places.slot) < s.policy_batch:
             return {}
         index = places.later(0)
         at = self.spots(places).later(0)
-        state = self.state_at(replay, at)
-        clip, time = self._tensor(replay.clip[index]), self._tensor(replay.time[index])
-        jump, previous = replay.jump_m[at], replay.previous_action[at].float()
-        seat, slack = self.references.seat[clip], self.references.slack[clip]
+        _, worth, error, alive, power = self._passes["actor"](
+            replay.qpos[at], replay.qvel[at], self._tensor(replay.clip[index]), self._tensor(replay.time[index]),
+            replay.jump_m[at], replay.previous_action[at].float(),
+        )  # fmt: skip
+        norm = self._step("actor", self.actor, s.policy_gradient_norm)
+        self.policy_updates += 1
+        self._average()
+        return {
+            "imagined_worth": float(worth), "imagined_error_m": float(error), "imagined_alive": float(alive),
+            "policy_gradient": norm, "power_kw": float(power),
+        }  # fmt: skip
+
+    def _policy_pass(
+        self, qpos: Tensor, qvel: Tensor, clip: Tensor, time: Tensor, jump: Tensor, previous: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """Loss of imagined ticks from states (B, ...); their worth, the last one's distance, the share that is still
+        tracked, and the mean power in kW."""
+        s, env = self.settings, self.env
         for module in (self.model, self.critic):
             module.requires_grad_(False)
+        seat, slack = self.references.seat[clip], self.references.slack[clip]
+        state = State.of(qpos, qvel)
         if self.compiled:
             state = with_history(state)
         bodies = self.kinematics(state)
@@ -266,25 +295,17 @@ class Learner:
         # A clip's last ticks, where the preview stands still, are never simulated: the critic knows nothing of them.
         inside = (time + s.horizon < self.references.length[clip] - TAIL_TICKS).float()
         worth = (total * inside).sum() / inside.sum().clamp(min=1.0)
-        loss = -worth + SATURATION_COST * beyond / s.horizon
-        norm = self._step("actor", self.actor, loss, s.policy_gradient_norm)
         for module in (self.model, self.critic):
             module.requires_grad_(True)
-        self.policy_updates += 1
-        self._average()
-        return {
-            "imagined_worth": float(worth.detach()), "imagined_error_m": float(seen.distance_m.detach().mean()),
-            "imagined_alive": float(alive.mean()), "policy_gradient": norm, "power_kw": float(power) / s.horizon,
-        }  # fmt: skip
+        loss = -worth + SATURATION_COST * beyond / s.horizon
+        return loss, worth, seen.distance_m.mean(), alive.mean(), power / s.horizon
 
-    def _step(self, name: str, module: nn.Module, loss: Tensor, norm: float | None) -> float:
-        optimizer = self.optimizers[name]
-        optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
+    def _step(self, name: str, module: nn.Module, norm: float | None) -> float:
+        """A step down the gradients that a pass has left; their size."""
         size = float(nn.utils.clip_grad_norm_(module.parameters(), norm if norm is not None else float("inf")))
         # One batch of exploded imagination must not end up in Adam's moments.
         if np.isfinite(size):
-            optimizer.step()
+            self.optimizers[name].step()
         return size
 
     @torch.no_grad()

@@ -44,6 +44,11 @@ class Spots:
         """Index of the places some ticks later."""
         return (self.slot + ticks) % self.capacity, self.env
 
+    def window(self, ticks: int) -> tuple[Tensor, Tensor]:
+        """Index (T, N) of the places and of the T - 1 ticks after them."""
+        ahead = torch.arange(ticks, device=self.slot.device)[:, None]
+        return (self.slot + ahead) % self.capacity, self.env.expand(ticks, -1)
+
 
 class Replay:
     """The last `capacity` ticks of B environments; D observation size, H hinges.

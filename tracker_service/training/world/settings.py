@@ -19,6 +19,7 @@ class WorldSettings(BaseModel):
         smoothness: cost of changing the action from tick to tick. power: cost of mechanical power in kW.
         mirrored_share: of the model's windows that are seen in the mirror.
         bf16: hidden layers in bfloat16; None where the processor has it.
+        recorded: updates replayed from a CUDA graph; None where the networks are on a graphics card.
         compiled: imagined ticks compiled; None where a C++ compiler is.
     """
 
@@ -48,4 +49,5 @@ class WorldSettings(BaseModel):
     power: float = 0.0
     mirrored_share: float = Field(default=0.5, ge=0, le=1)
     bf16: bool | None = None
+    recorded: bool | None = None
     compiled: bool | None = None
