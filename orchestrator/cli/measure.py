@@ -154,6 +154,9 @@ def eval_tasks(
     measured = Measured(seed, variant, planner, tracker, varied)
     with Bar("episodes") as bar:
         with for_people():
+            there = None if against is None else loads(against.read_text(encoding="utf-8"))
+            if there is not None and not (isinstance(there, dict) and {"tasks", "variant"} <= there.keys()):
+                raise InvalidInputError(f"{against} is no result of eval tasks", field="against")
             if variant == "no_finetune" and tracker_weights is None:
                 raise InvalidInputError(
                     "no_finetune needs weights that have seen no plans", field="variant", allowed="--tracker-weights"
@@ -166,9 +169,9 @@ def eval_tasks(
             planner, tracker, threads, repeatable=True,
         )  # fmt: skip
     whole = {**result, **provenance(seed)}
-    if report is not None:
-        write_report(report, whole, None if against is None else loads(against.read_text()))
     write_json(json, whole)
+    if report is not None:
+        write_report(report, whole, there)
 
 
 @evaluate.command("text")

@@ -75,4 +75,5 @@ class Agenda:
 
 
 def _longest_s(task: TaskSpec) -> float:
-    return (make_task(task, 0).time_limit_s + 10.0) * (1 + task.retries)
+    first, again = (make_task(each, 0).time_limit_s + 10.0 for each in (task, task.again()))
+    return first + task.retries * again

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -21,9 +22,10 @@ from orchestrator.evaluation.rows import Key, Measured, Row, finished, keep
 from orchestrator.evaluation.sequences import SEQUENCE, sequence_of
 from orchestrator.evaluation.starts import Start, octant, start_of
 from orchestrator.evaluation.statistics import wilson
-from shared.errors import InvalidInputError
+from shared.errors import InvalidInputError, MotionLoopError
 from shared.protocol.messages import Render, Video
 
+_LOG = logging.getLogger(__name__)
 Progress = Callable[[int, int, Row], None]
 """Called with episodes done, episodes in all, and the newest row."""
 FILM_S = 600.0
@@ -67,12 +69,16 @@ async def run_one(spec: EpisodeSpec, services: Services, film: Path | None = Non
     outcome = await runner.run()
     if not runner.session.created:
         return outcome
-    if film is not None and not outcome.success and runner.tick > 0:
-        ask = Render(start_tick=0, stop_tick=runner.tick, width=480, height=360)
-        video = await runner.session.loop.ask_tracker(Video, ask, FILM_S)
-        film.parent.mkdir(parents=True, exist_ok=True)
-        film.write_bytes(np.asarray(video.mp4).tobytes())
-    await runner.session.close()
+    try:
+        if film is not None and not outcome.success and runner.tick > 0:
+            ask = Render(start_tick=0, stop_tick=runner.tick, width=480, height=360)
+            video = await runner.session.loop.ask_tracker(Video, ask, FILM_S)
+            film.parent.mkdir(parents=True, exist_ok=True)
+            film.write_bytes(np.asarray(video.mp4).tobytes())
+    except (MotionLoopError, OSError) as error:  # the rows of hours are worth more than a video
+        _LOG.warning("no video %s: %s", film, error)
+    finally:
+        await runner.session.close()
     return outcome
 
 

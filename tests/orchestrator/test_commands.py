@@ -88,6 +88,14 @@ def test_a_result_that_cannot_be_written_is_told_before_the_work(
     assert refused.exit_code == 1 and "it is a folder" in refused.output
 
 
+def test_what_is_no_earlier_result_is_told_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(measure, "with_pairs", lambda *_, **__: pytest.fail("it was measured first"))
+    for text in ("[]", "{}", "no JSON"):
+        (tmp_path / "other.json").write_text(text)
+        refused = IN_PROCESS.invoke(cli.app, ["eval", "tasks", "--against", str(tmp_path / "other.json")])
+        assert refused.exit_code == 1 and "invalid_input" in refused.output
+
+
 @pytest.mark.parametrize(
     "command",
     [

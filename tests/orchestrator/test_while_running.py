@@ -17,6 +17,7 @@ from orchestrator.core.events import EventLog
 from orchestrator.core.on_fall import GET_UP_TEXT
 from orchestrator.core.services import Services, connect
 from orchestrator.core.supervise import Stack
+from shared.tasks.object_specs import GetUpSpec, SitSpec
 from shared.tasks.specs import HaltSpec
 
 LONG: dict[str, Any] = {"type": "halt", "name": "long", "duration_s": 100}
@@ -41,6 +42,8 @@ def test_an_agenda_by_hand() -> None:
     assert agenda.insert(HaltSpec(name="second"), 1) == 4
     assert [agenda.take()[0] for _ in range(len(agenda))] == [2, 4, 1, 3]
     assert agenda.longest_s == Agenda(agenda.tasks, "sequence", 1).longest_s
+    rise = GetUpSpec(retries=2)
+    assert Agenda([rise], "sequence", 1).longest_s == 120 + (rise.time_limit_s + 10) * 3 + 2 * SitSpec().time_limit_s
     shuffled = [Agenda(halts(8), "random", seed) for seed in (1, 1, 2)]
     orders = [[agenda.take()[0] for _ in range(8)] for agenda in shuffled]
     assert orders[0] == orders[1] != orders[2]
