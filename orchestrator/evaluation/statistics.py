@@ -7,19 +7,6 @@ from math import erfc, sqrt
 import numpy as np
 import numpy.typing as npt
 
-Z_95 = 1.959964
-
-
-def wilson(successes: int, n: int, z: float = Z_95) -> tuple[float, float]:
-    """Wilson score interval of a proportion (Wilson 1927); (0, 1) for n = 0."""
-    if n == 0:
-        return 0.0, 1.0
-    p = successes / n
-    middle = p + z * z / (2 * n)
-    half = z * sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-    scale = 1 + z * z / n
-    return max(0.0, (middle - half) / scale), min(1.0, (middle + half) / scale)
-
 
 def two_proportions_p(successes_a: int, n_a: int, successes_b: int, n_b: int) -> float:
     """p of two samples of one proportion differing so much, two-sided: the pooled z test; 1 where nothing differs."""

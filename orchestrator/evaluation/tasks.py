@@ -21,9 +21,9 @@ from orchestrator.core.settings import VARIANTS
 from orchestrator.evaluation.rows import Key, Measured, Row, finished, keep
 from orchestrator.evaluation.sequences import SEQUENCE, sequence_of
 from orchestrator.evaluation.starts import Start, octant, start_of
-from orchestrator.evaluation.statistics import wilson
 from shared.errors import InvalidInputError, MotionLoopError
 from shared.protocol.messages import Render, Video
+from shared.statistics import wilson
 
 _LOG = logging.getLogger(__name__)
 Progress = Callable[[int, int, Row], None]

@@ -16,8 +16,8 @@ from orchestrator.core.events import EventLog
 from orchestrator.core.services import Services
 from orchestrator.core.session import Session
 from orchestrator.core.settings import LOCKSTEP, LoopSettings
-from orchestrator.evaluation.statistics import wilson
 from shared.protocol.messages import TICK_HZ
+from shared.statistics import wilson
 from shared.tasks.interface import Trace, joined
 from shared.tasks.obey import kind_of, obeyed
 from shared.tasks.rules import with_falls

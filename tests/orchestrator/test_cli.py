@@ -20,7 +20,7 @@ from orchestrator.client import Client
 from orchestrator.core.supervise import Stack, address_in
 from orchestrator.evaluation.rows import Measured
 from orchestrator.evaluation.starts import Start, octant, start_of
-from orchestrator.evaluation.statistics import percentiles, wilson
+from orchestrator.evaluation.statistics import percentiles
 from orchestrator.evaluation.tasks import episode_spec, summary
 from orchestrator.evaluation.text import COMMANDS, choose_commands
 from shared.errors import InvalidInputError
@@ -28,6 +28,7 @@ from shared.motion.ik import standing_clip
 from shared.motion.rotations import wrap_angle
 from shared.scenes.placing import mark_place
 from shared.scenes.schema import Scene, SceneBody
+from shared.statistics import wilson
 from shared.tasks.obey import kind_of
 
 MOTIONLOOP = [sys.executable, "-m", "motionloop"]

@@ -27,6 +27,8 @@ PIECE_TICKS, PIECE_OVERLAP_TICKS, LEAST_PIECE_TICKS = 180, 60, 30
 JUMP_M = 0.045
 """Change of the pelvis' step from one tick to the next: 40 m/s2, more than runs and jumps have."""
 JOB_CLIPS = 50
+LARGEST_CHANGE_RAD = 1.0
+"""Arms circled backward and deep squats pass a pole of the shoulder's or hip's three hinges, where the angles jump."""
 PREPARATION = "6"
 """Changes whenever prepared arrays would come out differently; part of the cache's key."""
 
@@ -133,6 +135,11 @@ def largest_change_rad(references: ReferenceSet) -> npt.NDArray[np.float64]:
     change[1:] = np.abs(np.diff(references.qpos[:, 7:], axis=0)).max(axis=1)
     change[references.start] = 0.0
     return np.maximum.reduceat(change, references.start)
+
+
+def hinges_jump(references: ReferenceSet) -> npt.NDArray[np.bool_]:
+    """(C,) clips that no servo can follow, however well it is done: their hinge angles jump."""
+    return largest_change_rad(references) > LARGEST_CHANGE_RAD
 
 
 def prepare(

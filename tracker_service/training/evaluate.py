@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from shared.errors import InvalidInputError
 from shared.protocol.rates import TICK_HZ
+from shared.statistics import wilson
 from tracker_service.training.dataset import ReferenceSet
 from tracker_service.training.env import EnvSettings, TrackingEnv
 
@@ -22,41 +23,41 @@ MAX_TICKS = 300
 
 
 def evaluate(
-    env_settings: EnvSettings, references: ReferenceSet, human: Any, policy: Callable[[F32], F32], batch: int = 128
-) -> dict[str, Any]:
-    """Follow every clip once from its start, without noise, and measure until it ends or fails.
+    env_settings: EnvSettings, references: ReferenceSet, human: Any, policy: Callable[[F32], F32], batch: int = 128,
+    which: npt.NDArray[np.int64] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Follow every clip, or those of numbers `which`, once from its start, without noise, until it ends or fails.
 
     Args:
         policy: observations (B, D) -> actions (B, H).
 
     Returns:
-        clips, success, mpjpe_mm, velocity_error_mps, falls_per_min, by_behaviour {id: {clips, success, mpjpe_mm}},
-        per_clip [{name, behaviour, success, mpjpe_mm, max_m, seconds}].
+        clips, success, its ci95 (Wilson), mpjpe_mm, velocity_error_mps, falls_per_min, by_behaviour {id: {clips,
+        success, ci95, mpjpe_mm}}, per_clip [{name, behaviour, success, mpjpe_mm, max_m, seconds}].
     """
-    if len(references) == 0:
+    followed = np.arange(len(references)) if which is None else which
+    if len(followed) == 0:
         raise InvalidInputError("no clips to evaluate", field="clips", allowed="at least one clip")
     rows: list[dict[str, Any]] = []
-    for first in range(0, len(references), batch):
-        clips = np.arange(first, min(first + batch, len(references)))
-        rows += _follow(env_settings, references, human, policy, clips)
+    for first in range(0, len(followed), batch):
+        rows += _follow(env_settings, references, human, policy, followed[first : first + batch])
     seconds = sum(row["seconds"] for row in rows)
     return {
-        "clips": len(rows),
-        "success": float(np.mean([row["success"] for row in rows])),
-        "mpjpe_mm": float(np.average([row["mpjpe_mm"] for row in rows])),
+        **_summary(rows),
         "velocity_error_mps": float(np.average([row["velocity_error_mps"] for row in rows])),
         "falls_per_min": 60.0 * sum(row["fell"] for row in rows) / max(seconds, 1e-9),
         "by_behaviour": {
             str(name): _summary([row for row in rows if row["behaviour"] == name])
-            for name in np.unique(references.behaviours)
+            for name in np.unique(references.behaviours[followed])
         },
         "per_clip": rows,
     }
 
 
-def _summary(rows: list[dict[str, Any]]) -> dict[str, float]:
+def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "clips": len(rows),
+        "ci95": [round(v, 4) for v in wilson(sum(row["success"] for row in rows), len(rows))],
         "success": float(np.mean([row["success"] for row in rows])),
         "mpjpe_mm": float(np.mean([row["mpjpe_mm"] for row in rows])),
     }

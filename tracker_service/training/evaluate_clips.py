@@ -29,7 +29,7 @@ from shared.protocol.rates import TICK_HZ
 from tracker_service.policy.learned import WEIGHTS
 from tracker_service.simulation.character_spec import HUMAN
 from tracker_service.simulation.humanoid import humanoid
-from tracker_service.training.dataset import MotionInput, prepare, seat_in
+from tracker_service.training.dataset import LARGEST_CHANGE_RAD, MotionInput, hinges_jump, prepare, seat_in
 from tracker_service.training.evaluate import evaluate
 from tracker_service.training.policies import policy_of
 from tracker_service.training.suites import SUITES, run_suite
@@ -84,11 +84,28 @@ def motions_of_corpus(folder: Path, split: str) -> list[MotionInput]:
     ]
 
 
-def evaluate_weights(motions: list[MotionInput], weights: Path | None = WEIGHTS) -> dict[str, Any]:
-    """Fields of DESIGN 8 for a policy file, or for the `pd` baseline where `weights` is None."""
+def evaluate_weights(
+    motions: list[MotionInput], weights: Path | None = WEIGHTS, leave_out: bool = False
+) -> dict[str, Any]:
+    """Fields of DESIGN 8 for a policy file, or for the `pd` baseline where `weights` is None.
+
+    Args:
+        leave_out: judge no clip whose hinge angles jump; `left_out` tells them with the reason.
+    """
     human = humanoid(HUMAN)
     settings, policy = policy_of(human, weights)
-    return evaluate(settings, prepare(human, motions), human, policy)
+    references = prepare(human, motions)
+    if not leave_out:
+        return evaluate(settings, references, human, policy)
+    jumping = hinges_jump(references)
+    reason = f"a hinge jumps by more than {LARGEST_CHANGE_RAD:g} rad in a tick"
+    result = evaluate(settings, references, human, policy, which=np.flatnonzero(~jumping))
+    return result | {"left_out": {str(name): reason for name in references.names[jumping]}}
+
+
+def _interval(row: dict[str, Any]) -> str:
+    low, high = row["ci95"]
+    return f"({low:.2f}-{high:.2f})"
 
 
 def _told(stage: str, share: float) -> None:
@@ -146,17 +163,20 @@ def main(
             motions = motions_of_corpus(corpus, "heldout")
         if not motions:
             raise InvalidInputError(f"no clip at {clips or corpus} can be followed", field="clips")
-        result = evaluate_weights(motions, policy_file) | told_of_files(outcomes)
+        result = told_of_files(outcomes) | evaluate_weights(motions, policy_file, leave_out=corpus is not None)
     except EXPECTED as error:
         write({"clips": 0, "error": as_ours(error).message, **told_of_files(outcomes)})
         raise
     write(result)
     for name, row in sorted(result["by_behaviour"].items()):
-        typer.echo(f"{name:14} {row['success']:.2f} of {row['clips']:3}  {row['mpjpe_mm']:.0f} mm")
+        typer.echo(f"{name:14} {row['success']:.2f} {_interval(row)} of {row['clips']:3}  {row['mpjpe_mm']:.0f} mm")
     typer.echo(
-        f"success {result['success']:.3f} of {result['clips']}, {result['mpjpe_mm']:.0f} mm, "
+        f"success {result['success']:.3f} {_interval(result)} of {result['clips']}, {result['mpjpe_mm']:.0f} mm, "
         f"{result['falls_per_min']:.2f} falls a minute"
     )
+    if clips is None:
+        for name, reason in result["left_out"].items():
+            typer.echo(f"left out: {name}: {reason}")
     if any(outcome.error for outcome in outcomes):
         raise typer.Exit(1)
 

@@ -23,6 +23,7 @@ from shared.motion.ik import standing_clip, standing_pose
 from shared.motion.kinematics import forward_kinematics
 from shared.motion.rise import LOW_PELVIS_M, Rises, between
 from shared.protocol.rates import TICK_HZ
+from shared.statistics import wilson
 from tracker_service.policy.learned import WEIGHTS
 from tracker_service.simulation.character_spec import HUMAN
 from tracker_service.simulation.humanoid import Humanoid, humanoid
@@ -177,13 +178,17 @@ def falls(
     facing = _facing(human, lying)
     return {
         "falls": len(ok),
-        "got_up": float(ok.mean()),
+        **_rate(ok),
         "by_facing": {
-            side: {"n": int((facing == side).sum()), "got_up": float(ok[facing == side].mean())}
+            side: {"n": int((facing == side).sum()), **_rate(ok[facing == side])}
             for side in ("up", "down", "side")
             if (facing == side).any()
         },
     }
+
+
+def _rate(ok: npt.NDArray[np.bool_]) -> dict[str, Any]:
+    return {"got_up": float(ok.mean()), "ci95": [round(v, 4) for v in wilson(int(ok.sum()), len(ok))]}
 
 
 def _held(way: MotionInput, frames: int) -> MotionInput:

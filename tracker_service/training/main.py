@@ -18,10 +18,11 @@ from shared.data.corpus import Corpus
 from tracker_service.simulation.character_spec import HUMAN
 from tracker_service.simulation.humanoid import Humanoid, humanoid
 from tracker_service.training.dataset import (
+    LARGEST_CHANGE_RAD,
     MotionInput,
     ReferenceSet,
     concatenated,
-    largest_change_rad,
+    hinges_jump,
     load_bank,
     prepare_cached,
     seat_in,
@@ -32,8 +33,6 @@ from tracker_service.training.trainer import Trainer
 
 LEAST_TICKS = 30
 HELDOUT_PIECE = 12
-LARGEST_CHANGE_RAD = 1.0
-"""Arms circled backward and deep squats pass a pole of the shoulder's or hip's three hinges, where the angles jump."""
 
 
 def motions(corpus: Corpus, split: str, mirrored: bool = True) -> list[MotionInput]:
@@ -67,7 +66,7 @@ def training_sets(
     their shares."""
     train_set = references(corpus, "train", cache, say, human, jobs)
     heldout_set = references(corpus, "heldout", cache, say, human, jobs)
-    jumping = largest_change_rad(train_set) > LARGEST_CHANGE_RAD
+    jumping = hinges_jump(train_set)
     say(f"{int(jumping.sum())} clips left out: a hinge jumps by more than {LARGEST_CHANGE_RAD:g} rad in a tick")
     train_set = replace(train_set, weight=train_set.weight * ~jumping)
     factors = np.array([focus.get(str(name), 1.0) for name in train_set.behaviours])

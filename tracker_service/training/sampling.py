@@ -15,7 +15,7 @@ Floats = npt.NDArray[np.float64]
 BIN_TICKS = int(TICK_HZ)
 STEP = 0.1
 """How far one failure or one passage moves a rate."""
-KIN_STEP, KIN_VISITS, KIN_SECONDS = 0.01, 4.0, 8
+KIN_STEP, KIN_VISITS, KIN_SECONDS = 0.02, 4.0, 8
 """How far one moves the rate of all clips of its kin in that second of theirs (all later ones together), and how many
 visits of a clip's own weigh as much as that: a corpus has more seconds than a short training has episodes."""
 OUT_OF_REACH = 0.5
