@@ -10,6 +10,7 @@ in use alike (REFERENCE 4.3). `traj` is the root on the floor: its z counts for 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from torch import Tensor
@@ -27,6 +28,17 @@ SLOT_JOINTS = torch.tensor([CANONICAL.index("pelvis" if slot == "traj" else slot
 """(7,) skeleton joint of each joint slot."""
 SLOT_AXES = torch.tensor([[1.0, 1.0, 0.0 if slot == "traj" else 1.0] for slot in JOINT_SLOTS])
 """(7, 3) which axes of a joint slot count."""
+
+
+@cache
+def slot_axes(device: torch.device) -> Tensor:
+    """SLOT_AXES on a device."""
+    return SLOT_AXES.to(device)
+
+
+@cache
+def _slot_joints(device: torch.device) -> Tensor:
+    return SLOT_JOINTS.to(device)
 
 
 KEYFRAME_NUMBERS = 22 * 3 + 22
@@ -69,7 +81,7 @@ class TargetBatch:
         joint = (
             torch.cat(
                 [
-                    self.position_m * SLOT_AXES.to(self.position_m.device),
+                    self.position_m * slot_axes(self.position_m.device),
                     torch.ones_like(self.position_m[..., :1]),
                     (self.position_frame / plan_frames)[..., None],
                 ],
@@ -161,7 +173,7 @@ def joints_at_arrival(positions_m: Tensor, frames: Tensor) -> Tensor:
     """
     device = positions_m.device
     batch = torch.arange(positions_m.shape[0], device=device)[:, None]
-    return positions_m[batch, frames - 1, SLOT_JOINTS.to(device)] * SLOT_AXES.to(device)
+    return positions_m[batch, frames - 1, _slot_joints(device)] * slot_axes(device)
 
 
 def heading_at_arrival(heading_rad: Tensor, frames: Tensor) -> Tensor:

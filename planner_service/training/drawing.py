@@ -7,7 +7,7 @@ training was stopped before it or not, it is the same.
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, TypeVar
 
@@ -54,6 +54,22 @@ class Work:
     def to(self, device: torch.device) -> Work:
         """The same on another device."""
         return _mapped(self, lambda tensor: tensor.to(device, non_blocking=True))
+
+    def tensors(self) -> list[Tensor]:
+        """All tensors, in one order."""
+        found: list[Tensor] = []
+
+        def keep(tensor: Tensor) -> Tensor:
+            found.append(tensor)
+            return tensor
+
+        _mapped(self, keep)
+        return found
+
+    def with_tensors(self, tensors: Sequence[Tensor]) -> Work:
+        """The same with others in the place of `tensors()`."""
+        rest = iter(tensors)
+        return _mapped(self, lambda _: next(rest))
 
     def pin_memory(self) -> Work:
         """The same in memory that a GPU copies from beside its own work."""

@@ -6,19 +6,20 @@ Positions are seen from the root frame of the last prefix frame, in metres; velo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from torch import Tensor
 
 from planner_service.dip.conditions import (
     JOINT_SLOTS,
-    SLOT_AXES,
     KeyframeBatch,
     TargetBatch,
     VelocityBatch,
     heading_at_arrival,
     joints_at_arrival,
     late_velocity,
+    slot_axes,
     wrapped_difference,
 )
 from planner_service.dip.features_torch import plan_to_positions
@@ -65,10 +66,17 @@ GESTURE_WEIGHTS = {"left_wrist": 6.0, "right_wrist": 6.0, "left_elbow": 3.0, "ri
 last of the diffusion's steps."""
 
 
-def joint_weights() -> Tensor:
+@cache
+def joint_weights(device: torch.device) -> Tensor:
     """(22,) weights of joints with mean 1."""
-    out = torch.tensor([GESTURE_WEIGHTS.get(name, 1.0) for name in CANONICAL.names])
+    out = torch.tensor([GESTURE_WEIGHTS.get(name, 1.0) for name in CANONICAL.names], device=device)
     return out / out.mean()
+
+
+@cache
+def _feet(device: torch.device) -> Tensor:
+    """Indices of the joints that touch the floor."""
+    return torch.from_numpy(CANONICAL.indices(*FOOT_JOINTS)).to(device)
 
 
 def feature_weights(w: LossWeights) -> Tensor:
@@ -176,7 +184,7 @@ def dip_loss(
         true_positions, _ = plan_to_positions(clean_features, FPS)
         start = start_pose(last_prefix)
 
-    wanted = targets.position_m * SLOT_AXES.to(device)
+    wanted = targets.position_m * slot_axes(device)
     gap = (joints_at_arrival(positions, targets.position_frame) - wanted).square().sum(-1)
     terms["target"] = (gap * targets.position_valid).sum() / positions.shape[0]
     turn = wrapped_difference(heading_at_arrival(heading, targets.heading_frame), targets.heading_rad)
@@ -191,7 +199,7 @@ def dip_loss(
         slip = (late_velocity(positions, FPS) - velocities.velocity_mps).square().sum(-1)
         terms["desired_velocity"] = (slip * velocities.valid).mean()
         errors["desired_velocity_mps"] = _mean_where(slip.detach().sqrt(), velocities.valid)
-    joints = joint_weights().to(device)
+    joints = joint_weights(device)
     terms["position"] = ((positions - true_positions).square().sum(-1) * joints).mean()
 
     velocity = torch.diff(torch.cat([start[:, None], positions], dim=1), dim=1) * FPS
@@ -199,7 +207,7 @@ def dip_loss(
     terms["velocity"] = (((velocity - true_velocity).square().sum(-1) * joints).mean((1, 2)) * signal).mean()
     change, true_change = (torch.diff(v, dim=1) * FPS for v in (velocity, true_velocity))
     terms["acceleration"] = ((change - true_change).square().sum(-1).mean((1, 2)) * signal).mean()
-    feet = velocity[:, :, torch.from_numpy(CANONICAL.indices(*FOOT_JOINTS)).to(device)]
+    feet = velocity[:, :, _feet(device)]
     stance = clean_features[..., CONTACTS]
     terms["skating"] = ((feet[..., :2].square().sum(-1) * stance).mean((1, 2)) * signal).mean()
 

@@ -6,7 +6,7 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from planner_service.training.dataset import TextBank, WindowSampler
 from planner_service.training.drawing import NumberedWork, Shares, Work, draw, drawn_by_workers
 from planner_service.training.losses import LossWeights, dip_loss, feature_weights
 from shared.processor import bf16_pays
+from shared.training.passes import Pass
 
 
 class TrainSettings(BaseModel):
@@ -102,6 +103,9 @@ class Trainer:
         self._optimizer = torch.optim.AdamW(
             network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay, fused=True
         )
+        self._pass = Pass(self._losses, network.parameters(), recorded=self.device.type == "cuda")
+        self._form: Work
+        self._names: list[str] = []
         self._generator = torch.Generator().manual_seed(settings.seed)
         torch.manual_seed(settings.seed)
         self.state = TrainState(0, 0.0)
@@ -158,17 +162,37 @@ class Trainer:
 
     def update(self, work: Work) -> dict[str, Tensor]:
         """One update; the loss terms, on the device."""
-        settings, config = self.settings, self.config
+        settings = self.settings
         work = work.to(self.device)
+        work = replace(work, noise=self._noise(work))
+        self._form = work
+        self.network.train()
+        terms = self._pass(*work.tensors())
+        for group in self._optimizer.param_groups:
+            group["lr"] = learning_rate(settings, self.state.step)
+        norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), settings.clip_norm)
+        # One bad batch must not end hours of training; the step is counted and its gradients are dropped.
+        if torch.isfinite(norm):
+            self._optimizer.step()
+        self._update_average()
+        self.state.step += 1
+        return {**{name: term.clone() for name, term in zip(self._names, terms, strict=True)}, "grad_norm": norm}
+
+    def _losses(self, *tensors: Tensor) -> list[Tensor]:
+        """The loss of a work's tensors and its terms, whose names are kept."""
+        settings, config = self.settings, self.config
+        work = self._form.with_tensors(tensors)
+        assert work.noise is not None
         asked = work.asked
         text, text_mask = self._texts.rows(work.sentence, work.keep)
         clean = self._there.normalize(work.plan)
-        noisy = add_noise(self._schedule, clean, work.step, self._noise(work))
+        noisy = add_noise(self._schedule, clean, work.step, work.noise)
         vector = asked.targets.vector(config.plan_frames)
         keyframes = None if asked.keyframes is None else asked.keyframes.vector()
         velocity = None if asked.velocity is None else asked.velocity.vector()
-        self.network.train()
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=settings.bf16):
+        # A recording must not read casts that were made before it.
+        kept = self.device.type == "cpu"
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=settings.bf16, cache_enabled=kept):
             predicted = self.network(
                 noisy, work.step, self._there.normalize(work.prefix), vector, text, text_mask, keyframes, velocity
             )
@@ -185,18 +209,8 @@ class Trainer:
             asked.keyframes,
             asked.velocity,
         )
-        for group in self._optimizer.param_groups:
-            group["lr"] = learning_rate(settings, self.state.step)
-        self._optimizer.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
-        norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), settings.clip_norm)
-        if not torch.isfinite(norm):
-            # One bad batch must not end hours of training; the step is counted and its gradients are dropped.
-            self._optimizer.zero_grad(set_to_none=True)
-        self._optimizer.step()
-        self._update_average()
-        self.state.step += 1
-        return {"loss": loss.detach(), **terms, "grad_norm": norm}
+        self._names = ["loss", *terms]
+        return [loss, *terms.values()]
 
     def _noise(self, work: Work) -> Tensor:
         """Noise (B, N, F) of the work, or where it brings none that of this step, drawn by the device."""

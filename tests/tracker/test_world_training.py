@@ -268,3 +268,27 @@ def test_failures_are_met_again_where_they_happen() -> None:
     clips, ticks = table.draw(np.random.default_rng(0), 4000)
     assert (clips == 0).mean() > 0.7  # sometimes failing beats never failing
     assert ((ticks >= 0) & (ticks < np.where(clips == 0, 110, 80))).all()
+
+
+def test_environments_in_processes_resume_exactly(references: ReferenceSet, tmp_path: Path) -> None:
+    many = SMALL.model_copy(update={"processes": 2})
+
+    def made(out: Path) -> WorldTrainer:
+        return WorldTrainer(HUMAN, references, references, out, many, TINY, 3)
+
+    whole = made(tmp_path / "a")
+    whole.prepare(print, fresh_sight=True, fresh_model=True)
+    whole.iterate()
+    whole.save(tmp_path / "checkpoint.pt")
+    wanted = [whole.iterate() for _ in range(3)]
+    rest = made(tmp_path / "b")
+    rest.load(tmp_path / "checkpoint.pt")
+    again = [rest.iterate() for _ in range(3)]
+    for one, other in zip(wanted, again, strict=True):
+        assert {k: v for k, v in one.items() if not k.endswith("_s")} == {
+            k: v for k, v in other.items() if not k.endswith("_s")
+        }
+    np.testing.assert_array_equal(whole.env.state, rest.env.state)
+    assert whole.env.time.any() and not np.array_equal(whole.env.state[0], whole.env.state[-1])
+    for trainer in (whole, rest):
+        trainer.env.close()

@@ -57,7 +57,8 @@ class EnvSettings(BaseModel):
     """How episodes go.
 
     Attributes:
-        envs: humanoids at once. threads: of physics, and of what follows from it.
+        envs: humanoids at once. threads: of physics, and of what follows from it. processes: among which the
+            environments are spread where there are many cores (`training.processes`), each with one thread.
         action_scale_rad: servo targets move by at most this from the led reference.
         episode_ticks: longest episode.
         stop_mean_m, stop_max_m: mean and largest joint distance that end an episode.
@@ -71,6 +72,7 @@ class EnvSettings(BaseModel):
     model_config = ConfigDict(frozen=True)
     envs: int = Field(default=320, gt=0)
     threads: int = Field(default=1, ge=1)
+    processes: int = Field(default=1, ge=1)
     action_scale_rad: float = 0.4
     episode_ticks: int = 300
     stop_mean_m: float = 0.25

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from shared.processor import bf16_pays
+from shared.training.passes import Pass
 from tracker_service.policy.observations import PREVIEW_TICKS
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.training.dataset import ReferenceSet
@@ -19,7 +20,6 @@ from tracker_service.training.network import mlp
 from tracker_service.training.world.body import Bodies, Kinematics, Mirror, State, tensor
 from tracker_service.training.world.imagination import Imagination, Sight, can_compile, mixed
 from tracker_service.training.world.model import WorldModel, model_loss
-from tracker_service.training.world.passes import Pass
 from tracker_service.training.world.replay import Places, Replay, Spots
 from tracker_service.training.world.settings import WorldSettings
 from tracker_service.training.world.sight import Reference, observe, still_tracked, support_heights

@@ -28,7 +28,7 @@ app = typer.Typer(add_completion=False)
 def train(
     corpus: Path, out: Path, until_samples: int, threads: int, envs: int, seed: int, init: Path | None,
     focus: dict[str, float], banks: dict[Path, float], settings: WorldSettings,
-    device: str = "cpu", character: str = "human", until_minutes: float = float("inf"),
+    device: str = "cpu", character: str = "human", until_minutes: float = float("inf"), processes: int = 1,
     say: Callable[[str], None] = print,
 ) -> WorldTrainer:  # fmt: skip
     """Train until `until_samples`, `until_minutes` or SIGTERM/SIGINT, resuming from `out`/checkpoint.pt if it is there.
@@ -51,7 +51,7 @@ def train(
 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, ask_to_stop)
-    env = EnvSettings(envs=envs, threads=threads, heights=True)
+    env = EnvSettings(envs=envs, threads=threads, processes=processes, heights=True)
     trainer = WorldTrainer(human, train_set, heldout_set, out, env, settings, seed, device)
     say(f"bf16 {trainer.learner.bf16}, compiled {trainer.learner.compiled}")
     checkpoint = out / "checkpoint.pt"
@@ -99,6 +99,7 @@ def main(
     until_samples: int = 50_000_000,
     until_minutes: Annotated[float, typer.Option(help="of training in this run")] = 1e9,
     threads: int = 1,
+    processes: Annotated[int, typer.Option(help="of the environments, where there are many cores")] = 1,
     envs: int = 320,
     seed: int = 0,
     init: Annotated[Path | None, typer.Option(help="shipped actor to start from")] = None,
@@ -113,7 +114,7 @@ def main(
     """Train the tracker through a world model; stops cleanly on SIGTERM and resumes where it stopped."""
     trainer = train(
         corpus, out, until_samples, threads, envs, seed, init, factors(focus), shares(bank),
-        WorldSettings.model_validate_json(settings), device, character, until_minutes,
+        WorldSettings.model_validate_json(settings), device, character, until_minutes, processes,
         lambda line: typer.echo(line),
     )  # fmt: skip
     if export is not None:

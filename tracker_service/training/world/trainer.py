@@ -24,6 +24,7 @@ from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.training.dataset import ReferenceSet
 from tracker_service.training.env import EnvSettings, TrackingEnv
 from tracker_service.training.evaluate import evaluate
+from tracker_service.training.processes import ProcessEnv
 from tracker_service.training.sampling import KIN_SECONDS
 from tracker_service.training.seats import HEIGHTS
 from tracker_service.training.world.learner import Learner
@@ -57,7 +58,9 @@ class WorldTrainer:
     ):  # fmt: skip
         torch.manual_seed(seed)
         self.human, self.heldout, self.out, self.settings = human, heldout_set, out, settings
-        self.env = TrackingEnv(human, train_set, env_settings, seed)
+        spread = env_settings.processes > 1
+        self._judged_as = env_settings.model_copy(update={"processes": 1})
+        self.env = (ProcessEnv if spread else TrackingEnv)(human, train_set, env_settings, seed)
         heights = HEIGHTS if env_settings.heights else 0
         self.learner = Learner(human, train_set, env_settings, settings, self.env.observation_size, heights, device)
         size, hinges = self.env.observation_size, self.env.hinges
@@ -162,10 +165,11 @@ class WorldTrainer:
         self.save(self.out / "checkpoint.pt")
         self._log({"kind": "heldout", **self.judge()}, say)
         self.writer.close()
+        self.env.close()
 
     def judge(self) -> dict[str, Any]:
         """Held-out clips with the averaged policy, without the list of clips, and the quality of the model."""
-        result = evaluate(self.env.settings, self.heldout, self.human, lambda o: self.learner.act(o, averaged=True))
+        result = evaluate(self._judged_as, self.heldout, self.human, lambda o: self.learner.act(o, averaged=True))
         del result["per_clip"]
         result |= drift_mm(self.learner, self.replay, self._judging_rng())
         return result | response_cosine(self.learner, self.env, self.replay, self._judging_rng())
