@@ -19,6 +19,7 @@ import typer
 
 from shared.console import errors_for_people
 from shared.data.corpus import Corpus
+from shared.motion.heading import hips_heading
 from shared.motion.ik import standing_clip, standing_pose
 from shared.motion.kinematics import forward_kinematics
 from shared.motion.rise import LOW_PELVIS_M, Rises, between
@@ -105,8 +106,7 @@ def into_standing(human: Humanoid, way_w_m: Floats) -> Floats:
     """A way up (T, J, 3) that goes on into standing where its feet are: TO_STAND_TICKS of slowing down, a second of
     rest."""
     skeleton, last = human.skeleton, way_w_m[-1]
-    across = last[skeleton.index("left_hip")] - last[skeleton.index("right_hip")]
-    local = standing_pose(skeleton, float(np.arctan2(-across[0], across[1])))
+    local = standing_pose(skeleton, float(hips_heading(last, skeleton)))
     root = np.array([[0.0, 0.0, skeleton.root_height_m]])
     stand = np.asarray(forward_kinematics(skeleton, root, local[None])[0])[0]
     ankles = [skeleton.index("left_ankle"), skeleton.index("right_ankle")]
