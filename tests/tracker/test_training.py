@@ -226,6 +226,7 @@ def test_evaluation_of_standing_still(references: ReferenceSet) -> None:
     assert result["success"] == 1.0
     assert 0 < result["mpjpe_mm"] < 60
     assert result["by_behaviour"]["stand"]["clips"] == 2
+    assert result["by_group"] == {"common": result["by_behaviour"]["stand"]}
     low, high = result["ci95"]
     assert low <= result["success"] <= high and high - low > 0.3  # two clips say little
     one = evaluate(SMALL, references, HUMANOID, lambda o: np.zeros((len(o), 40), np.float32), which=np.array([1]))

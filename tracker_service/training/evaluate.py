@@ -20,6 +20,11 @@ SUCCESS_M = 0.5
 """A clip succeeds when no joint is ever farther from the reference than this (REFERENCE 2)."""
 MAX_TICKS = 300
 """Takes longer than 10 s are cut."""
+GROUPS = {
+    "common": ("walk", "run", "turn", "wave", "stand", "jump", "gesture"),
+    "harder": ("squat", "sneak", "dance", "punch", "kick", "pick_up", "step_back", "step_side"),
+}
+"""Behaviours that are also judged together."""
 
 
 def evaluate(
@@ -33,7 +38,8 @@ def evaluate(
 
     Returns:
         clips, success, its ci95 (Wilson), mpjpe_mm, velocity_error_mps, falls_per_min, by_behaviour {id: {clips,
-        success, ci95, mpjpe_mm}}, per_clip [{name, behaviour, success, mpjpe_mm, max_m, seconds}].
+        success, ci95, mpjpe_mm}}, by_group {of GROUPS: the same}, per_clip [{name, behaviour, success, mpjpe_mm, max_m,
+        seconds}].
     """
     followed = np.arange(len(references)) if which is None else which
     if len(followed) == 0:
@@ -49,6 +55,11 @@ def evaluate(
         "by_behaviour": {
             str(name): _summary([row for row in rows if row["behaviour"] == name])
             for name in np.unique(references.behaviours[followed])
+        },
+        "by_group": {
+            group: _summary(members)
+            for group, behaviours in GROUPS.items()
+            if (members := [row for row in rows if row["behaviour"] in behaviours])
         },
         "per_clip": rows,
     }

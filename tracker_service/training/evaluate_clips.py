@@ -168,7 +168,7 @@ def main(
         write({"clips": 0, "error": as_ours(error).message, **told_of_files(outcomes)})
         raise
     write(result)
-    for name, row in sorted(result["by_behaviour"].items()):
+    for name, row in [*sorted(result["by_behaviour"].items()), *result["by_group"].items()]:
         typer.echo(f"{name:14} {row['success']:.2f} {_interval(row)} of {row['clips']:3}  {row['mpjpe_mm']:.0f} mm")
     typer.echo(
         f"success {result['success']:.3f} {_interval(result)} of {result['clips']}, {result['mpjpe_mm']:.0f} mm, "
