@@ -17,11 +17,26 @@ WITHOUT = "processor\t: 0\nmodel name\t: avx512_bf16\nflags\t\t: fpu avx2 avx512
 )
 def test_the_flags_decide(tmp_path: Path, text: str, pays: bool) -> None:
     (tmp_path / "cpuinfo").write_text(text)
-    assert bf16_pays(tmp_path / "cpuinfo") is pays
+    assert bf16_pays(tmp_path / "cpuinfo", {}) is pays
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "pays"),
+    [
+        ("ATEN_CPU_CAPABILITY", "avx2", False),
+        ("ATEN_CPU_CAPABILITY", "avx512", True),
+        ("ONEDNN_MAX_CPU_ISA", "AVX2", False),
+        ("DNNL_MAX_CPU_ISA", "avx512_core", False),
+        ("ONEDNN_MAX_CPU_ISA", "AVX512_CORE_BF16", True),
+    ],
+)
+def test_what_is_switched_off_does_not_count(tmp_path: Path, name: str, value: str, pays: bool) -> None:
+    (tmp_path / "cpuinfo").write_text(WITH)
+    assert bf16_pays(tmp_path / "cpuinfo", {name: value}) is pays
 
 
 def test_where_nothing_can_be_read_float32_is_used(tmp_path: Path) -> None:
-    assert not bf16_pays(tmp_path / "none")
+    assert not bf16_pays(tmp_path / "none", {})
 
 
 def test_training_and_use_take_the_same_answer() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from collections.abc import Awaitable, Callable
 from json import loads
 from pathlib import Path
@@ -31,6 +32,13 @@ Tracker = Annotated[str | None, typer.Option(help="tracker plug-in")]
 Threads = Annotated[int, typer.Option(help="CPU threads of the planner")]
 FIXED = {"pacing": "lockstep", "planner_batch": 1, "seeds": "one an episode or stream, from --seed"}
 """What makes an evaluation repeat: the same command gives the same table on the same machine."""
+WITHOUT_AVX512 = {
+    "ATEN_CPU_CAPABILITY": "avx2",
+    "ONEDNN_MAX_CPU_ISA": "AVX2",
+    "DNNL_MAX_CPU_ISA": "AVX2",
+    "MKL_ENABLE_INSTRUCTIONS": "AVX2",
+}
+"""Keeps torch, oneDNN (in torch and in OpenVINO) and MKL from AVX-512."""
 Job = Callable[[Services, Stack], Awaitable[dict[str, Any]]]
 
 
@@ -231,13 +239,26 @@ def bench_loop(
 
 @bench.command("planner")
 def bench_planner(
-    repeats: Annotated[int, typer.Option(min=1)] = 5, threads: Threads = 1, seed: int = 1, json: JsonFile = None
+    repeats: Annotated[int, typer.Option(min=1)] = 5,
+    threads: Threads = 1,
+    runtime: Annotated[str, typer.Option(help="what runs `full` and `small`: auto, torch or openvino")] = "auto",
+    steps: Annotated[int | None, typer.Option(min=1, help="diffusion steps of `small`; default: as in use")] = None,
+    without_avx512: Annotated[bool, typer.Option("--without-avx512", help="switch its use off")] = False,
+    seed: int = 1,
+    json: JsonFile = None,
 ) -> None:
-    """Time of a plan, for every planner there is."""
-    result = with_services(
+    """CPU time of a plan: the paper's network written down plainly, as in use, and what ships; and every plug-in."""
+    if without_avx512:
+        os.environ.update(WITHOUT_AVX512)
+    os.environ.update({"OMP_NUM_THREADS": str(threads), "MKL_NUM_THREADS": str(threads)})
+    options = ["--repeats", str(repeats), "--threads", str(threads), "--runtime", runtime, "--seed", str(seed)]
+    in_process = module_json(
+        "planner_service.benchmarks.plan_cost", [*options, *([] if steps is None else ["--steps", str(steps)])]
+    )
+    wire = with_services(
         lambda services, stack: benches.bench_planner(services, stack.planner.pid, repeats), None, None, threads
     )
-    write_json(json, {**result, **provenance(seed)})
+    write_json(json, {**in_process, **wire, **provenance(seed)})
 
 
 @bench.command("tracker")

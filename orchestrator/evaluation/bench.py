@@ -110,13 +110,13 @@ def _latencies(given: list[tuple[int, str]], plans: list[dict[str, Any]]) -> lis
 
 
 async def bench_planner(services: Services, pid: int, repeats: int = 5) -> dict[str, Any]:
-    """Every plug-in that the planner service offers, one plan at a time and eight at once.
+    """Every plug-in that the planner service offers, over the wire, one plan at a time and eight at once.
 
     Args:
         pid: of the planner's process, whose CPU time is read.
     """
     process = psutil.Process(pid)
-    variants = []
+    plugins = []
     for entry in services.planner.welcome.plugins:
         spec = PlannerSpec.model_validate(entry)
         await _plans(services, spec, 1)
@@ -125,7 +125,7 @@ async def bench_planner(services: Services, pid: int, repeats: int = 5) -> dict[
         wall_b1, cpu_b1 = (float(np.median([row[i] for row in one])) for i in (0, 1))
         cpu_b8 = float(np.median([row[1] for row in eight])) / 8
         frames = min(40, spec.plan_frames)
-        variants.append(
+        plugins.append(
             {
                 "name": spec.name,
                 "weights_sha256": spec.weights_sha256,
@@ -135,7 +135,7 @@ async def bench_planner(services: Services, pid: int, repeats: int = 5) -> dict[
                 "frames_per_s": round(frames / (wall_b1 / 1e3), 1),
             }
         )
-    return {"variants": variants}
+    return {"plugins": plugins}
 
 
 async def _timed(services: Services, spec: PlannerSpec, batch: int, process: psutil.Process) -> tuple[float, float]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -64,16 +65,32 @@ class PlanState:
     values: Tensor
 
 
+class Denoising(Protocol):
+    """Runs the network step by step; see `FoldedDip`, which is one. `name` says by what and how precisely."""
+
+    name: str
+
+    def begin(self, given: Conditions, free: Tensor, numbers: Sequence[int]) -> Any:
+        """What the steps share."""
+        ...
+
+    def denoise(self, state: Any, noisy: Tensor, position: int) -> Tensor:
+        """(R, N, F) clean plans from (B, N, F) noisy ones."""
+        ...
+
+
 class FoldedDip:
     """A network rearranged for use.
 
     Args:
         network: in evaluation mode.
-        blocks: what runs its blocks.
+        quick, exact: what runs its blocks in all steps but the last of a plan, and in that one (see `runtime.Chosen`).
+        name: of what runs them.
     """
 
-    def __init__(self, network: DipNetwork, blocks: Blocks):
-        self._network, self._blocks = network, blocks
+    def __init__(self, network: DipNetwork, quick: Blocks, exact: Blocks, name: str = "torch float32"):
+        self.name = name
+        self._network, self._quick, self._exact = network, quick, exact
         config = network.config
         self._heads, self._depth = config.heads, len(network.layers)
         width, head = config.width, config.width // config.heads
@@ -96,7 +113,7 @@ class FoldedDip:
         Args:
             given: what is asked for.
             free: (R - B,) requests that also get a row without text, after the B with it.
-            numbers: (S,) the diffusion steps that will be asked for, as positions in `denoise`.
+            numbers: (S,) the diffusion steps that will be asked for, as positions in `denoise`, the last one first.
         """
         network, config = self._network, self._network.config
         batch, length = given.text_mask.shape
@@ -152,7 +169,8 @@ class FoldedDip:
         body = (network.frame_in(noisy) + state.added)[state.row_of]
         if network.config.condition_every_frame:
             body = body + state.condition[position][:, None]
-        out = self._blocks(torch.cat([state.head, body], dim=1), memory)
+        blocks = self._quick if position else self._exact
+        out = blocks(torch.cat([state.head, body], dim=1), memory)
         clean: Tensor = network.frame_out(network.norm_out(out))
         return clean
 

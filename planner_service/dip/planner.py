@@ -16,11 +16,12 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
-from planner_service.dip.blocks import TorchBlocks
 from planner_service.dip.conditions import JOINT_SLOTS
 from planner_service.dip.diffusion import cosine_schedule, respaced, sample, spread_steps
 from planner_service.dip.feet import with_planted_feet
-from planner_service.dip.folded import Conditions, FoldedDip
+from planner_service.dip.folded import Conditions, Denoising, FoldedDip
+from planner_service.dip.network import DipNetwork
+from planner_service.dip.runtime import Runtime, choose_blocks
 from planner_service.dip.weights import SHIPPED, DipWeights, load_weights
 from planner_service.dip.wishes import Wishes, read_wishes
 from planner_service.text.encoder import CachedTextEncoder, TextEncoder, pad_tokens
@@ -36,7 +37,6 @@ from shared.motion.features import (
 )
 from shared.motion.skeleton import CANONICAL
 from shared.plugins.interfaces import PlannerSpec
-from shared.processor import bf16_pays
 from shared.protocol.messages import PLANNER_FPS, Plan, PlanRequest, TextRead
 
 Array = npt.NDArray[np.float64]
@@ -59,7 +59,8 @@ class DipSettings(BaseModel):
             in a full plan; proportionally less for earlier arrivals. Callers who want a natural walk hand over nearer
             targets (REFERENCE 3: 1.2 m a plan).
         steps: how many of the diffusion's steps are taken, spread evenly over them; None: all that were trained.
-        bf16: multiply in bfloat16; None: where the CPU has instructions for it (plans differ by rounding).
+        runtime, bf16: see `runtime.choose_blocks` (plans differ by rounding).
+        threads: CPU threads of a runtime other than torch, whose threads belong to the process.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -69,7 +70,9 @@ class DipSettings(BaseModel):
     coarse_steps: int = Field(3, ge=0)
     step_m: float = Field(5.0, gt=0)
     steps: int | None = Field(None, ge=1)
+    runtime: Runtime = "auto"
     bf16: bool | None = None
+    threads: int = Field(1, ge=1)
 
 
 class DipPlanner:
@@ -80,6 +83,7 @@ class DipPlanner:
         encoder: the text encoder that the weights were trained with; cached here.
         settings: see DipSettings.
         known: the sentences that the weights were trained on; None where that is not known.
+        dip: what runs the network in place of what the settings choose.
     """
 
     def __init__(
@@ -88,6 +92,7 @@ class DipPlanner:
         encoder: TextEncoder,
         settings: DipSettings | None = None,
         known: KnownSentences | None = None,
+        dip: Denoising | None = None,
     ):
         self._config = weights.network.config
         self._normalizer = weights.normalizer
@@ -100,9 +105,7 @@ class DipPlanner:
         self._texts = CachedTextEncoder(encoder)
         self._known = known
         self._settings = settings or DipSettings()
-        wanted = self._settings.bf16
-        bf16 = bf16_pays() if wanted is None else wanted
-        self._dip = FoldedDip(weights.network, TorchBlocks(weights.network, bf16))
+        self._dip: Denoising = dip or folded(weights.network, self._settings)
         self._steps = _steps(self._config.steps, self._settings.steps)
         self._schedule = respaced(cosine_schedule(self._config.steps), self._steps)
         self._weights_id = weights.sha256[:12]
@@ -129,6 +132,11 @@ class DipPlanner:
             return TextRead()
         found = self._known.nearest(text, self._texts)
         return TextRead(nearest=found.sentence, similarity=round(found.similarity, 4), far=found.far)
+
+    @property
+    def runs_in(self) -> str:
+        """By what, how precisely and in how many steps plans are made."""
+        return f"{self._dip.name}, {len(self._steps)} steps"
 
     @property
     def spec(self) -> PlannerSpec:
@@ -254,3 +262,9 @@ def _steps(trained: int, wanted: int | None) -> list[int]:
     if wanted is not None and wanted > trained:
         raise InvalidInputError(f"{wanted} diffusion steps", field="steps", allowed=f"1..{trained}")
     return spread_steps(trained, wanted or trained)
+
+
+def folded(network: DipNetwork, settings: DipSettings) -> FoldedDip:
+    """The network as the settings want it run."""
+    chosen = choose_blocks(network, settings.runtime, settings.bf16, settings.threads)
+    return FoldedDip(network, chosen.quick, chosen.exact, chosen.name)

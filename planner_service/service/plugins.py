@@ -44,12 +44,14 @@ def _dip(settings: PlannerSettings) -> Planner:
     try:
         import torch
 
-        from planner_service.dip.planner import DipPlanner
+        from planner_service.dip.planner import DipPlanner, DipSettings
     except ImportError as error:
         raise UnavailableError(f"its libraries are not installed: {error}") from error
     torch.set_num_threads(settings.threads)
     try:
-        planner: Planner = DipPlanner.load(settings.dip_weights)
+        planner: Planner = DipPlanner.load(
+            settings.dip_weights, DipSettings(runtime=settings.runtime, threads=settings.threads)
+        )
     except (FileNotFoundError, InvalidInputError) as error:
         raise UnavailableError(f"its weights do not load: {error}") from error
     return planner

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 from pydantic_settings import SettingsConfigDict
@@ -27,6 +27,10 @@ class PlannerSettings(ServiceSettings):
     clip_library: Annotated[Path, Field(description="folder of recorded motion for `clip`")] = DEFAULT_LIBRARY
     rise_library: Annotated[Path, Field(description="folder of get-ups for `rise`")] = RISE_LIBRARY
     dip_weights: Annotated[Path | None, Field(description="weights of `dip`; default: the shipped ones")] = None
+    runtime: Annotated[
+        Literal["auto", "torch", "openvino"],
+        Field(description="what runs the network of `dip`; auto: openvino where it is installed, else torch"),
+    ] = "auto"
     threads: Annotated[int, Field(ge=1, le=256, description="CPU threads of the network")] = 1
     max_batch: Annotated[int, Field(ge=1, le=256, description="characters planned for at once")] = 8
     max_wait_ms: Annotated[float, Field(ge=0, le=1000, description="wait for others to fill a batch")] = 4.0

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
+
 import pytest
 import torch
 from torch import Tensor
 
-from planner_service.dip.blocks import TorchBlocks
+from planner_service.dip.blocks import Blocks, TorchBlocks
 from planner_service.dip.conditions import KEYFRAME_NUMBERS, TARGET_NUMBERS, VELOCITY_NUMBERS
 from planner_service.dip.config import DipConfig, preset
 from planner_service.dip.folded import Conditions, FoldedDip
 from planner_service.dip.network import DipNetwork, parameter_count
+from planner_service.dip.runtime import choose_blocks
+from shared.errors import UnavailableError
 
 TINY = preset("tiny")
 CONFIGS = {
@@ -68,14 +73,25 @@ def plainly(network: DipNetwork, given: Conditions, free: Tensor, noisy: Tensor,
     return torch.cat(out)
 
 
+def openvino_blocks(network: DipNetwork, bf16: bool = False) -> Blocks:
+    pytest.importorskip("openvino", reason="the extra `fast` is not installed")
+    from planner_service.dip.openvino_blocks import OpenVinoBlocks
+
+    return OpenVinoBlocks(network, bf16)
+
+
+RUNTIMES: dict[str, Callable[[DipNetwork], Blocks]] = {"torch": TorchBlocks, "openvino": openvino_blocks}
+
+
+@pytest.mark.parametrize("runtime", RUNTIMES)
 @pytest.mark.parametrize("name", CONFIGS)
 @pytest.mark.parametrize(("batch", "tokens", "free"), [(1, 12, [0]), (1, 7, []), (3, 9, [0, 2])])
-def test_outputs_are_the_plain_networks(name: str, batch: int, tokens: int, free: list[int]) -> None:
+def test_outputs_are_the_plain_networks(name: str, runtime: str, batch: int, tokens: int, free: list[int]) -> None:
     config = CONFIGS[name]
     network = network_of(config)
     given, also_free = asked(config, batch, tokens), torch.tensor(free, dtype=torch.int64)
-    numbers = (9, 5, 0)
-    folded = FoldedDip(network, TorchBlocks(network))
+    blocks = RUNTIMES[runtime](network)
+    folded, numbers = FoldedDip(network, blocks, blocks), (9, 5, 0)
     state = folded.begin(given, also_free, numbers)
     for position, number in enumerate(numbers):
         noisy = torch.randn(batch, config.plan_frames, config.features)
@@ -83,6 +99,51 @@ def test_outputs_are_the_plain_networks(name: str, batch: int, tokens: int, free
         wanted = plainly(network, given, also_free, noisy, number)
         assert wanted.std() > 0.1
         torch.testing.assert_close(found, wanted, atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize("runtime", RUNTIMES)
+def test_the_same_is_the_same_bit_for_bit_also_from_a_fresh_start(runtime: str) -> None:
+    network = network_of(TINY)
+    given, free = asked(TINY, 2, 9), torch.tensor([0])
+    noisy = torch.randn(2, TINY.plan_frames, TINY.features)
+
+    def once(blocks: Blocks) -> Tensor:
+        folded = FoldedDip(network, blocks, blocks)
+        return folded.denoise(folded.begin(given, free, [0, 5]), noisy, 1)
+
+    first = RUNTIMES[runtime](network)
+    found = once(first)
+    assert torch.equal(once(first), found)
+    assert torch.equal(once(RUNTIMES[runtime](network)), found)
+
+
+def test_the_last_step_is_the_exact_one() -> None:
+    network = network_of(TINY)
+    exact = TorchBlocks(network)
+    folded = FoldedDip(network, TorchBlocks(network, bf16=True), exact)
+    given, free = asked(TINY, 1, 9), torch.tensor([0])
+    noisy = torch.randn(1, TINY.plan_frames, TINY.features)
+    errors = []
+    for number in (0, 5):
+        state = folded.begin(given, free, [0, 5])
+        errors.append(
+            float(
+                (
+                    folded.denoise(state, noisy, [0, 5].index(number)) - plainly(network, given, free, noisy, number)
+                ).std()
+            )
+        )
+    assert errors[0] < 1e-5 < 1e-4 < errors[1] < 0.05
+
+
+def test_without_the_extra_torch_is_used_unless_openvino_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "openvino", None)
+    monkeypatch.delitem(sys.modules, "planner_service.dip.openvino_blocks", raising=False)
+    network = network_of(TINY)
+    assert choose_blocks(network, "auto", bf16=False).name == "torch float32"
+    with pytest.raises(UnavailableError) as caught:
+        choose_blocks(network, "openvino")
+    assert caught.value.field == "runtime"
 
 
 def test_the_papers_size_has_the_papers_number_of_parameters() -> None:
