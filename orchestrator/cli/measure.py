@@ -17,11 +17,12 @@ from orchestrator.cli.delegate import PASS_THROUGH, module_json, run_module
 from orchestrator.core.services import Services, connect
 from orchestrator.core.supervise import Stack, StackOptions
 from orchestrator.evaluation import bench as benches
+from orchestrator.evaluation.commands import KindsOption, read_sentences
 from orchestrator.evaluation.report import write_report
 from orchestrator.evaluation.rows import Measured
 from orchestrator.evaluation.sequences import SEQUENCE
 from orchestrator.evaluation.tasks import evaluate_tasks
-from orchestrator.evaluation.text import evaluate_text
+from orchestrator.evaluation.text import TextPlan, evaluate_text
 from shared.errors import InvalidInputError
 
 evaluate = typer.Typer(no_args_is_help=True, help="Measure how well it works.")
@@ -184,7 +185,12 @@ def eval_tasks(
 
 @evaluate.command("text")
 def eval_text(
-    minutes: Annotated[float, typer.Option(min=0.05)] = 10.0,
+    minutes: Annotated[
+        float, typer.Option(min=0.05, help="of simulated time; with --sentences each is asked once")
+    ] = 10.0,
+    kinds: Annotated[KindsOption, typer.Option(help="the six kinds, or all by strict rules")] = "default",
+    sentences: Annotated[Path | None, typer.Option(help="in their place: lines of KIND, tab, sentence")] = None,
+    record: Annotated[Path | None, typer.Option(help="folder for a .npz of every command, for eval planner")] = None,
     seed: int = 1,
     every_s: Annotated[float, typer.Option(min=1.0, help="a new command every so many seconds")] = 5.0,
     parallel: Annotated[int, typer.Option(min=1, max=64, help="characters that share the time")] = 4,
@@ -194,10 +200,13 @@ def eval_text(
     json: JsonFile = None,
 ) -> None:
     """How many text commands are obeyed, and how often it falls."""
+    with for_people():
+        listed = () if sentences is None else tuple(read_sentences(sentences))
+    plan = TextPlan(minutes, every_s, kinds, listed, record)
     with Bar("commands") as bar:
         result = with_services(
             lambda services, stack: evaluate_text(
-                services, minutes, seed, every_s, parallel, planner, tracker, progress=bar.update
+                services, plan, seed, parallel, planner, tracker, progress=bar.update
             ),
             planner, tracker, threads, repeatable=True,
         )  # fmt: skip

@@ -24,7 +24,7 @@ from orchestrator.core.loop import GoalSource
 from orchestrator.core.services import Services
 from orchestrator.core.session import Session
 from orchestrator.core.settings import LOCKSTEP, LoopSettings
-from orchestrator.evaluation.text import COMMANDS
+from orchestrator.evaluation.commands import DEFAULT
 from shared.protocol.messages import TICK_HZ, StateFrame
 from shared.tasks.builtin import ReachTask
 from shared.tasks.interface import BodyView
@@ -114,7 +114,7 @@ def choose_goal(rng: np.random.Generator, state: StateFrame) -> GoalSource:
         task.start(BodyView(state.tick, np.asarray(state.body_pos_w_m, dtype=np.float64), state.fallen))
         return task.goal
     kind = str(rng.choice(list(KIND_SHARES), p=list(KIND_SHARES.values())))
-    return CommandGoal(Command(text=str(rng.choice(COMMANDS[kind]))), state.tick)
+    return CommandGoal(Command(text=str(rng.choice(DEFAULT[kind]))), state.tick)
 
 
 async def _stream(

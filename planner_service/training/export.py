@@ -35,7 +35,7 @@ def export(
         "parameters": parameter_count(network),
         "training": json.loads(content["settings"]),
         "command": command.read_text(encoding="utf-8").strip() if command.is_file() else None,
-        "commit": _commit(),
+        "commit": commit(),
         "data_manifest_sha256": manifest,
         "steps": content["step"],
         "hours": round(content["hours"], 3),
@@ -45,7 +45,7 @@ def export(
     print(f"{out}: step {content['step']}, {out.stat().st_size / 2**20:.1f} MiB, sha256 {digest}")
 
 
-def _commit() -> str | None:
+def commit() -> str | None:
     """Commit of the checkout, if there is one."""
     try:
         done = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True)

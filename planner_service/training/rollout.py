@@ -30,14 +30,18 @@ class Rollout:
         start_w_m: (B, P, 22, 3) prefixes at 20 fps, P at least the planner's.
         seed: of the first plan of body 0; every body and plan has its own.
         replan_frames: even number of frames played of each plan.
+        prefix_noise_m: standard deviation of the noise on every coordinate of the joints in what the planner is shown.
     """
 
-    def __init__(self, planner: Planner, start_w_m: Array, seed: int, replan_frames: int = 20):
+    def __init__(
+        self, planner: Planner, start_w_m: Array, seed: int, replan_frames: int = 20, prefix_noise_m: float = 0.0
+    ):
         if replan_frames % 2 or not 2 <= replan_frames <= planner.spec.plan_frames:
             raise InvalidInputError(
                 f"replan_frames is {replan_frames}", field="replan_frames", allowed="an even number within a plan"
             )
         self._planner, self._replan, self._seed = planner, replan_frames, seed
+        self._noise_m, self._rng = prefix_noise_m, np.random.default_rng(seed)
         self._played = [row.copy() for row in np.asarray(start_w_m, dtype=np.float64)]
         self._plans = 0
 
@@ -54,6 +58,8 @@ class Rollout:
             view = BodyView(self.tick, frames[-1])
             goal = goal_of(body, view)
             window = frames[-prefix:]
+            if self._noise_m:
+                window = window + self._noise_m * self._rng.normal(size=window.shape)
             requests.append(
                 PlanRequest(
                     start_tick=self.tick,

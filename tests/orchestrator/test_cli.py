@@ -18,11 +18,11 @@ import pytest
 from orchestrator.cli.braille import Canvas, side_view, top_view
 from orchestrator.client import Client
 from orchestrator.core.supervise import Stack, address_in
+from orchestrator.evaluation.commands import DEFAULT, choose
 from orchestrator.evaluation.rows import Measured
 from orchestrator.evaluation.starts import Start, octant, start_of
 from orchestrator.evaluation.statistics import percentiles
 from orchestrator.evaluation.tasks import episode_spec, summary
-from orchestrator.evaluation.text import COMMANDS, choose_commands
 from shared.errors import InvalidInputError
 from shared.motion.ik import standing_clip
 from shared.motion.rotations import wrap_angle
@@ -162,6 +162,27 @@ def test_eval_tasks_goes_on_after_a_kill_with_the_same_table(tmp_path: Path) -> 
     assert "| strike | 2 | 0.000 |" in (tmp_path / "report.md").read_text()
 
 
+def test_eval_text_judges_a_list_and_records_it_for_eval_planner(tmp_path: Path) -> None:
+    sentences = tmp_path / "list.tsv"
+    sentences.write_text("stand\tremain where you are\nwalk\tcarry on\n")
+    run(
+        "eval", "text", "--sentences", str(sentences), "--planner", "stand", "--tracker", "kinematic",
+        "--every-s", "3", "--record", str(tmp_path / "done"), "--json", str(tmp_path / "result.json"),
+    )  # fmt: skip
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert (result["commands"], result["obeyed"], result["falls"]) == (2, 0.5, 0)
+    assert result["by_kind"] == {"stand": {"n": 1, "obeyed": 1.0}, "walk": {"n": 1, "obeyed": 0.0}}
+    recorded = sorted((tmp_path / "done").glob("*.npz"))
+    assert len(recorded) == 2
+    with np.load(recorded[0], allow_pickle=False) as data:
+        assert data["body_pos_w_m"].shape[1:] == (22, 3)
+        assert float(data["fps"]) == 30.0
+        assert str(data["text"]) in ("remain where you are", "carry on")
+    sentences.write_text("fly\tgo up\n")
+    refused = run("eval", "text", "--sentences", str(sentences), code=1)
+    assert "unknown kind" in refused.stderr and "walk_back" in refused.stderr
+
+
 def test_starts_are_as_far_and_in_as_many_directions_as_in_the_paper() -> None:
     made = {task: [start_of(task, seed) for seed in range(300)] for task in ("strike", "sit")}
     for starts in made.values():
@@ -221,11 +242,11 @@ def test_wilson_by_hand() -> None:
 
 
 def test_evaluations_ask_for_every_kind_and_know_their_names() -> None:
-    commands = choose_commands(60, 1)
-    kinds: list[str] = [kind_of(text) for text in commands]
-    assert {kind: kinds.count(kind) for kind in COMMANDS} == dict.fromkeys(COMMANDS, 10)
-    assert all(kind_of(text) == kind for kind, texts in COMMANDS.items() for text in texts)
-    assert choose_commands(60, 1) == commands != choose_commands(60, 2)
+    commands = choose(60, 1)
+    kinds: list[str] = [kind_of(asked.text) for asked in commands]
+    assert {kind: kinds.count(kind) for kind in DEFAULT} == dict.fromkeys(DEFAULT, 10)
+    assert all(kind_of(text) == kind for kind, texts in DEFAULT.items() for text in texts)
+    assert choose(60, 1) == commands != choose(60, 2)
     with pytest.raises(InvalidInputError, match="fly"):
         episode_spec(("fly", 0), Measured())
     with pytest.raises(InvalidInputError, match="sideways"):

@@ -9,8 +9,9 @@ import pytest
 
 from planner_service.builtin.stand import StandPlanner
 from planner_service.training.dataset import WindowSampler, load_material
-from planner_service.training.evaluate import contact_slide_mm, reach
 from planner_service.training.evaluate_conditions import KEYED, conditions
+from planner_service.training.evaluate_loop import reach
+from planner_service.training.evaluate_quality import contact_slide_mm
 from planner_service.training.evidence import deed_ahead, frames_showing, plans_showing
 from planner_service.training.rollout import Rollout
 from planner_service.training.windows import window_positions

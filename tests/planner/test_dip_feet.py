@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner_service.dip.feet import MOST_HELD_M, held_offsets, with_planted_feet
-from planner_service.training.evaluate import contact_slide_mm
+from planner_service.training.evaluate_quality import contact_slide_mm
 from shared.motion.ik import standing_clip
 from shared.motion.metrics import penetration_mm
 from shared.motion.skeleton import CANONICAL
