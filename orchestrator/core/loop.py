@@ -162,9 +162,10 @@ class CharacterLoop:
         self.last_plan: Plan | None = None
         self._swap_error: str | None = None
 
-    async def reset(self) -> StateFrame:
-        """Stand the character up. What was planned and done before says nothing about it any more."""
-        state = await self.ask_tracker(StateFrame, ResetCharacter())
+    async def reset(self, position_w_m: tuple[float, float] | None = None) -> StateFrame:
+        """Stand the character up, where it is or at a place. What was planned and done before says nothing about it any
+        more."""
+        state = await self.ask_tracker(StateFrame, ResetCharacter(position_w_m=position_w_m))
         self._buffer.clear()
         self.last_plan = None
         self._since_tick = state.tick

@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Protocol
 
+import numpy as np
+
 from orchestrator.core.drivers import Cycle, Driver, LockstepDriver, RealtimeDriver
 from orchestrator.core.events import EventLog
 from orchestrator.core.fanout import Fanout
@@ -20,7 +22,11 @@ from orchestrator.core.settings import LOCKSTEP, REALTIME, LoopSettings
 from shared.errors import ConflictError, MotionLoopError
 from shared.protocol.control import Ok
 from shared.protocol.messages import CloseCharacter, CreateCharacter, Pacing, StateFrame
+from shared.scenes.clearing import clear_of
 from shared.scenes.schema import Scene
+
+ROOM_M = 0.35
+"""A body that is put on its feet needs so much room round its pelvis."""
 
 
 class Choices(Protocol):
@@ -144,12 +150,20 @@ class Session:
             self._driver.replan_now()
 
     async def reset(self) -> StateFrame:
-        """Put it on its feet where it is, and plan anew."""
-        self._state = await self.loop.reset()
+        """Put it on its feet where it is, or beside what stands there, and plan anew."""
+        self._state = await self.loop.reset(self._free_place())
         if self._driver is not None:
             await self._driver.drop_plan()
         self.events.emit("reset", self._state.tick)
         return self._state
+
+    def _free_place(self) -> tuple[float, float] | None:
+        """Beside the object that it lies on, since a reset puts objects back too; None where nothing is in the way."""
+        if self.scene is None or self._state is None:
+            return None
+        here = self._state.body_pos_w_m[0, :2]
+        x, y = (float(v) for v in clear_of(self.scene, here, ROOM_M))
+        return None if float(np.hypot(x - here[0], y - here[1])) < 1e-6 else (x, y)
 
     @contextlib.contextmanager
     def in_lockstep(self, start: StateFrame) -> Iterator[None]:

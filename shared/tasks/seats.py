@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import atan2, cos, pi, sin
+from math import cos, sin
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,12 @@ PELVIS = CANONICAL.index("pelvis")
 FRONT_M = 0.35
 """Nearer than this to the place before the seat it turns round."""
 FACING_RAD = 0.6
+FROM_EDGE_M = 0.2
+"""So far behind the seat's edge the pelvis is put: as far as in the motion that sits and rises are learnt from."""
+ELBOW_ROOM_M = 0.3
+ON_IT_M, SEATED_M = 0.15, 0.08
+"""A pelvis less than this above where it should be is on the seat, and sits."""
+SEATED_TEXT = "a person is sitting."
 SIT_S, TRY_S = 1.6, 6.0
 """How long sitting down takes; after so long without a seat under it, it begins anew."""
 LOW_SHARE = 0.75
@@ -55,6 +61,20 @@ def before_edge(seat: MarkedObject, view: BodyView, ahead_m: float) -> Array:
     return np.asarray(place.position_w_m[:2] + out * (seat.half_size_m[0] + ahead_m))
 
 
+def place_on(seat: MarkedObject, view: BodyView) -> Array:
+    """(2,) where on a seat to sit down: straight behind the body, and not farther in than the feet can stay under it.
+
+    Who sits deep in a wide seat leans back with the feet far ahead, and does not get up again.
+    """
+    place = seat.place(view)
+    out = np.array([cos(place.heading_rad), sin(place.heading_rad)])
+    left = np.array([-out[1], out[0]])
+    along, across = seat.half_size_m
+    most = max(across - ELBOW_ROOM_M, 0.0)
+    aside = float(np.clip((view.pelvis_xy_m - place.position_w_m[:2]) @ left, -most, most))
+    return np.asarray(place.position_w_m[:2] + out * max(along - FROM_EDGE_M * view.scale, 0.0) + left * aside)
+
+
 def way_round(place: Place, half_size_m: tuple[float, float], here_xy_m: Array, front_xy_m: Array) -> Array:
     """(2,) the next place on the way to the front of a seat from any side: past its corner where it is between."""
     out = np.array([cos(place.heading_rad), sin(place.heading_rad)])
@@ -82,6 +102,8 @@ class SitTask(Task):
         self._mass_kg = 0.0
         self._walk = Walk(spec.guidance)
         self._begun_tick: int | None = None
+        self._aim: Array | None = None
+        self._spot: Array | None = None
 
     @property
     def label(self) -> str:
@@ -105,17 +127,20 @@ class SitTask(Task):
 
     def start(self, view: BodyView) -> None:
         """Find the seat; raises InvalidInputError where the scene has no such mark."""
-        self._seat, self._mass_kg, self._begun_tick = marked_object(view, self._spec.mark), view.mass_kg, None
+        self._seat, self._mass_kg = marked_object(view, self._spec.mark), view.mass_kg
+        self._begun_tick = self._aim = self._spot = None
 
     def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
-        """To the front, round, and down: the pelvis aimed above the seat's top, facing away from the seat."""
+        """To the front, round, and down: the pelvis aimed above the seat's top, facing away from the seat; there it
+        stays."""
         spec, seat = self._spec, _known(self._seat)
         place = seat.place(view)
         pelvis = view.pos_w_m[PELVIS]
-        aim = place.position_w_m + [0.0, 0.0, spec.above_m * view.scale]
-        on_it = pelvis[2] < aim[2] + 0.15 and float(np.linalg.norm((pelvis - aim)[:2])) < max(seat.half_size_m)
+        top = float(place.position_w_m[2]) + spec.above_m * view.scale
+        aim = self._aim if self._aim is not None else place_on(seat, view)
+        on_it = pelvis[2] < top + ON_IT_M and float(np.linalg.norm(pelvis[:2] - aim)) < max(seat.half_size_m)
         if self._begun_tick is not None and plan_tick - self._begun_tick > TRY_S * TICK_HZ and not on_it:
-            self._begun_tick = None
+            self._begun_tick = self._aim = None
         if self._begun_tick is None and not on_it:
             front = front_of(seat, view)
             through = way_round(place, seat.half_size_m, view.pelvis_xy_m, front)
@@ -125,17 +150,22 @@ class SitTask(Task):
             if abs(turn) > FACING_RAD:
                 return turn_on_the_spot(view, plan_tick, turn, spec.guidance)
         if self._begun_tick is None:
-            self._begun_tick = plan_tick
-        arrival = max(self._begun_tick + round(SIT_S * TICK_HZ), plan_tick + TICK_HZ // 2)
-        away = aim[:2] - pelvis[:2]
-        far = float(np.linalg.norm(away)) > 0.3
-        heading = float(wrap_angle(atan2(away[1], away[0]) + pi)) if far else place.heading_rad
-        x, y, z = (float(v) for v in aim)
+            self._begun_tick, self._aim = plan_tick, place_on(seat, view)
+            aim = self._aim
+        seated = on_it and pelvis[2] < top + SEATED_M
+        if seated and self._spot is None:
+            self._spot = view.pelvis_xy_m.copy()
+        if not seated:
+            self._spot = None
+        x, y = (float(v) for v in (aim if self._spot is None else self._spot))
+        lasts = self._begun_tick + round(SIT_S * TICK_HZ) - plan_tick
+        arrival = plan_tick + max(lasts, TICK_HZ // 2)
         return PlanGoal(
-            text=spec.text,
-            targets=(JointTarget(joint="pelvis", position_w_m=(x, y, z), arrival_tick=arrival),),
-            heading=HeadingTarget(heading_rad=heading, arrival_tick=arrival),
+            text=spec.text if self._spot is None else SEATED_TEXT,
+            targets=(JointTarget(joint="pelvis", position_w_m=(x, y, top), arrival_tick=arrival),),
+            heading=HeadingTarget(heading_rad=place.heading_rad, arrival_tick=arrival),
             guidance=spec.guidance,
+            hold_ticks=HOLD_TICKS if self._spot is None and lasts > 0 else 0,
         )
 
     def status(self, trace: Trace) -> Status:

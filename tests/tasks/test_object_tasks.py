@@ -144,10 +144,17 @@ def test_a_sitter_walks_round_the_sofa_turns_and_goes_down() -> None:
     assert "sitting down" in str(down.text)
     (target,) = down.targets
     assert target.joint == "pelvis"
-    assert target.position_w_m == pytest.approx((-1.3, 0.0, 0.344 + 0.12))
+    assert target.position_w_m == pytest.approx((-1.17, 0.0, 0.344 + 0.12))  # 0.2 m from the edge
     assert down.heading is not None
     assert np.cos(down.heading.heading_rad) == pytest.approx(1.0, abs=0.01)  # away from the seat
     assert task.goal(view("sofa", -0.6, tick=75), 75).targets[0].arrival_tick == target.arrival_tick
+    # On the seat it stays where it sits, straight behind where it stood.
+    aside = make_task(SitSpec(), 0)
+    aside.start(view("sofa", -0.6, 0.3))
+    assert aside.goal(view("sofa", -0.6, 0.3), 0).targets[0].position_w_m[:2] == pytest.approx((-1.17, 0.3))
+    sat = aside.goal(view("sofa", -1.25, 0.4, lift=STAND_TO_SEAT_M), 60)
+    assert sat.targets[0].position_w_m == pytest.approx((-1.25, 0.4, 0.344 + 0.12))
+    assert "sitting down" not in str(sat.text)
     # Where no seat was met it begins anew, with the walk to the front.
     late = task.goal(view("sofa", 1.5, facing=pi, tick=60 + 200), 60 + 200)
     assert late.text == "a person is walking."
