@@ -16,7 +16,7 @@ export MKL_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test test-page check docs format bench eval-tasks eval-text eval-tracker eval-planner clean
+.PHONY: help setup demo serve test test-page check docs format bench eval-tasks eval-results eval-text eval-tracker eval-planner clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -72,6 +72,21 @@ bench: setup ## measure the loop in real time
 eval-tasks: setup ## success rate of the task `reach`
 	@mkdir -p $(OUT)
 	$(BIN)/motionloop eval tasks --tasks reach --episodes 100 --seed $(SEED) --json $(OUT)/eval_tasks.json $(ARGS)
+
+# Variants of docs/results.md as NAME:OPTIONS, commas for spaces; N episodes a task, 50 sequences.
+N ?= 200
+RESULTS := second:--seed,2 open_loop:--variant,open_loop paper:--variant,paper short:--variant,short \
+	long:--variant,long varied:--varied sequences:--sequences,50
+comma := ,
+
+eval-results: setup ## the tables of docs/results.md (hours; goes on where it was killed)
+	@mkdir -p $(OUT)/results
+	$(BIN)/motionloop eval tasks --tasks reach,strike,sit,get_up --episodes $(N) --seed $(SEED) --jobs $(JOBS) --resume $(OUT)/results/rows.jsonl --json $(OUT)/results/closed_loop.json --report $(OUT)/results/closed_loop.md --videos $(OUT)/results/videos $(ARGS)
+	@for each in $(RESULTS); do \
+	  name=$${each%%:*}; options=$$(echo "$${each#*:}" | tr '$(comma)' ' '); \
+	  $(BIN)/motionloop eval tasks --tasks reach,strike,sit,get_up --episodes $(N) --seed $(SEED) --jobs $(JOBS) $$options --resume $(OUT)/results/rows.jsonl --json $(OUT)/results/$$name.json --report $(OUT)/results/$$name.md --against $(OUT)/results/closed_loop.json $(ARGS) || exit 1; \
+	done
+	$(BIN)/python benchmarks/results_table.py $(OUT)/results/*.json
 
 eval-text: setup ## how many text commands are obeyed
 	@mkdir -p $(OUT)

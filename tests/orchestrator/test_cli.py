@@ -183,6 +183,18 @@ def test_eval_text_judges_a_list_and_records_it_for_eval_planner(tmp_path: Path)
     assert "unknown kind" in refused.stderr and "walk_back" in refused.stderr
 
 
+def test_a_failed_episode_is_filmed_and_a_variant_without_its_weights_is_refused(tmp_path: Path) -> None:
+    common = ["eval", "tasks", "--tasks", "text", "--episodes", "1", "--planner", "stand", "--tracker", "kinematic"]
+    run(*common, "--videos", str(tmp_path / "films"), "--json", str(tmp_path / "result.json"))
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert result["tasks"]["text"]["success_strict"] == 0.0, "who stands does not walk"
+    (film,) = (tmp_path / "films").iterdir()
+    assert film.name == "text_closed_loop_1_000.mp4"
+    assert film.read_bytes()[4:8] == b"ftyp"
+    said = run(*common, "--variant", "no_finetune", code=1).stderr
+    assert "--tracker-weights" in said
+
+
 def test_starts_are_as_far_and_in_as_many_directions_as_in_the_paper() -> None:
     made = {task: [start_of(task, seed) for seed in range(300)] for task in ("strike", "sit")}
     for starts in made.values():
