@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import atan2, cos, pi, sin
 
 import numpy as np
@@ -46,6 +47,8 @@ TOUCHED_M, TOUCHED_RAD = 0.015, 0.02
 TOP_ROOM_M = 0.3
 LEAST_TICKS = 12
 """A target is never asked for sooner (frame 8 of a plan)."""
+AFTER_TICKS, MOST_HELD_TICKS, PUSH_HOLD_TICKS = 3, 45, 24
+"""A blow's plan is performed until it has landed: made anew on the way, it begins with the wind-up again."""
 GOING_RAD = 0.45
 """Beyond this lean, well past its edge, the bag goes down by itself."""
 LANDED_S = 0.8
@@ -165,7 +168,8 @@ class StrikeTask(Task):
         limb, lands = self._spec.limb, max(self._lands_tick, plan_tick + 1)
         end = limb.split("_")[1]
         goal = self._through(self._height_m(view.scale, end == "hand"), THROUGH_M[end] * view.scale)
-        return self._limb_to(view, goal, JOINTS[limb], lands, self._spec.prompt, plan_tick)
+        told = self._limb_to(view, goal, JOINTS[limb], lands, self._spec.prompt, plan_tick)
+        return replace(told, hold_ticks=min(lands - plan_tick + AFTER_TICKS, MOST_HELD_TICKS))
 
     def _push(self, view: BodyView, plan_tick: int) -> PlanGoal:
         """On into what was hit, a hand ahead: the one that hit it, or that of the same side as the foot."""
@@ -173,7 +177,8 @@ class StrikeTask(Task):
         joint = f"{self._spec.limb.split('_')[0]}_wrist"
         goal = self._through(self._height_m(view.scale, hand=True), PUSH_M * view.scale)
         arrives = max(self._hit_tick + round(PUSH_ARRIVES_S * TICK_HZ), plan_tick + LEAST_TICKS)
-        return self._limb_to(view, goal, joint, arrives, PUSH_TEXT, plan_tick)
+        told = self._limb_to(view, goal, joint, arrives, PUSH_TEXT, plan_tick)
+        return replace(told, hold_ticks=PUSH_HOLD_TICKS)
 
     def _limb_to(self, view: BodyView, goal: Array, joint: str, lands_tick: int, text: str, plan_tick: int) -> PlanGoal:
         """A joint to a point at a tick, by way of a nearer point if it is far."""

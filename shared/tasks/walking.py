@@ -16,6 +16,8 @@ from shared.tasks.specs import ReachSpec
 Array = npt.NDArray[np.float64]
 SAME_PLACE_M = 0.1
 BACK_MPS = 0.6
+BACK_HOLD_TICKS = 24
+"""Planned anew every half second from the same stand, a step back is begun again and again and hardly made."""
 BACK_TEXT = "a person steps backward."
 
 
@@ -55,4 +57,5 @@ def step_back(view: BodyView, from_xy_m: Array, distance_m: float, plan_tick: in
         targets=(JointTarget(joint=TRAJ, position_w_m=(x, y, 0.0), arrival_tick=arrival),),
         heading=HeadingTarget(heading_rad=atan2(-out[1], -out[0]), arrival_tick=arrival),
         guidance=guidance,
+        hold_ticks=BACK_HOLD_TICKS,
     )
