@@ -7,6 +7,9 @@ import math
 import tokenize
 import zipfile
 import zlib
+from collections.abc import Collection
+from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.lib import format as npy
@@ -38,14 +41,36 @@ def read_npz(data: bytes, limit_bytes: int) -> Arrays:
         InvalidInputError: these are no such bytes, or they are too much.
     """
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            members = archive.infolist()
-            whole = sum(member.file_size for member in members)
-            if whole > limit_bytes:
-                raise InvalidInputError(f"the arrays have {whole} bytes", allowed=f"at most {limit_bytes} bytes")
-            return {m.filename.removesuffix(".npy"): _array(archive.read(m), m.filename) for m in members}
+        return _read(io.BytesIO(data), None, limit_bytes)[1]
     except _DAMAGED as error:
         raise InvalidInputError(f"these are no arrays: {error}") from error
+
+
+def read_npz_file(path: Path, wanted: Collection[str], limit_bytes: int) -> tuple[list[str], Arrays]:
+    """Names of all arrays of an .npz file, and those that are `wanted` and there; the others are not looked into.
+
+    Args:
+        limit_bytes: of the wanted ones, unpacked.
+
+    Raises:
+        InvalidInputError: it is no such file, or the arrays are too much. Its message is the reason alone.
+    """
+    try:
+        with path.open("rb") as stream:
+            return _read(stream, wanted, limit_bytes)
+    except _DAMAGED as error:
+        raise InvalidInputError(str(error) or type(error).__name__, field="path") from error
+
+
+def _read(stream: BinaryIO, wanted: Collection[str] | None, limit_bytes: int) -> tuple[list[str], Arrays]:
+    with zipfile.ZipFile(stream) as archive:
+        members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
+        names = list(members)
+        members = {name: member for name, member in members.items() if wanted is None or name in wanted}
+        whole = sum(member.file_size for member in members.values())
+        if whole > limit_bytes:
+            raise InvalidInputError(f"the arrays have {whole} bytes", allowed=f"at most {limit_bytes} bytes")
+        return names, {name: _array(archive.read(member), name) for name, member in members.items()}
 
 
 def _array(data: bytes, name: str) -> np.ndarray:

@@ -18,13 +18,14 @@ Fps = Annotated[float | None, typer.Option(help="frames per second of the files,
 UpAxis = Annotated[str, typer.Option(help="vertical axis of the files: x, y or z; auto finds it")]
 Unit = Annotated[float | None, typer.Option(metavar="METRES", help="metres in one unit of the files")]
 Joints = Annotated[Path | None, typer.Option(metavar="FILE", help="JSON of our joint names to the files'")]
+Root = Annotated[str | None, typer.Option(metavar="NAME", help="which of several roots of a BVH, e.g. of two people")]
 
 
-def read_options(fps: float | None, up: str, unit: float | None, joints: Path | None) -> ReadOptions:
+def read_options(fps: float | None, up: str, unit: float | None, joints: Path | None, root: str | None) -> ReadOptions:
     """The options as the readers take them."""
     from shared.motion.io.options import ReadOptions, read_joint_map
 
-    return ReadOptions(fps, up.lower(), unit, read_joint_map(joints) if joints is not None else None)
+    return ReadOptions(fps, up.lower(), unit, read_joint_map(joints) if joints is not None else None, root)
 
 
 def data_import(
@@ -34,6 +35,7 @@ def data_import(
     up: UpAxis = "auto",
     unit: Unit = None,
     joints: Joints = None,
+    root: Root = None,
     json: JsonFile = None,
 ) -> None:
     """Bring recorded motion onto the skeleton; exit code 1 if a file cannot be read."""
@@ -51,7 +53,7 @@ def data_import(
     with for_people():
         entries: list[dict[str, Any]] = []
         try:
-            entries = import_path(source, out, read_options(fps, up, unit, joints), row)
+            entries = import_path(source, out, read_options(fps, up, unit, joints, root), row)
         except EXPECTED as error:
             save_json(json, {**_counted(entries), "error": as_ours(error).message, **provenance()})
             raise
@@ -69,6 +71,7 @@ def data_build(
     up: UpAxis = "auto",
     unit: Unit = None,
     joints: Joints = None,
+    root: Root = None,
     json: JsonFile = None,
 ) -> None:
     """Build the training corpus from any folder of recordings; exit code 1 if a file cannot be read.
@@ -86,7 +89,7 @@ def data_build(
                 command = f"motionloop data build {mocap} {out} --seed {seed}"
                 manifest = build(
                     mocap, out, seed, lambda stage, share: status.update(f"{stage} {share:.0%}"), command,
-                    options=read_options(fps, up, unit, joints), say=lines.append,
+                    options=read_options(fps, up, unit, joints, root), say=lines.append,
                 )  # fmt: skip
         except EXPECTED as error:
             save_json(json, {"clips": 0, "error": as_ours(error).message, "files": lines, **provenance(seed)})

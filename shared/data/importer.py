@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import os
-import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,10 +15,13 @@ from shared.console import as_ours
 from shared.data.grounding import Quality
 from shared.data.reading import Loaded, Outcome, load, read_all
 from shared.data.retarget import Calibration
+from shared.errors import InvalidInputError
 from shared.motion.clip import MotionClip
 from shared.motion.io.bvh import write_bvh
 from shared.motion.io.files import motion_files
 from shared.motion.io.options import ReadOptions
+from shared.motion.io.smpl import MOST_BYTES
+from shared.npz import read_npz_file
 
 _SUFFIXES = (".npz", ".bvh")
 Row = Callable[[Outcome, str], None]
@@ -117,9 +119,8 @@ class _Names:
 def _made_from(clip: Path) -> str:
     """The recording an imported clip was made from, '' where it is none."""
     try:
-        with np.load(clip, allow_pickle=False) as data:
-            return str(data["source"])
-    except (OSError, EOFError, ValueError, KeyError, IndexError, zipfile.BadZipFile):
+        return str(read_npz_file(clip, ("source",), MOST_BYTES)[1]["source"])
+    except (InvalidInputError, KeyError):
         return ""
 
 

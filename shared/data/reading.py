@@ -94,7 +94,7 @@ class Outcome:
             return [f"warning: {self.label}: left out: {self.left_out}" if self.left_out else self.error_line()]
         x = self.loaded
         cells = row(self.label, x.fps, x.seconds, x.up, x.unit_m, x.family, x.travelled_m)
-        return [cells + then, *(f"warning: {self.label}: {warning}" for warning in x.warnings)]
+        return [cells + _shown(then), *(f"warning: {self.label}: {warning}" for warning in x.warnings)]
 
     def error_line(self) -> str:
         return f"error: {self.label}: {self.error}"
@@ -145,7 +145,7 @@ def load(path: str | Path, options: ReadOptions | None = None, calibration: Cali
 def read_all(files: Sequence[Path], root: Path, options: ReadOptions | None = None) -> Iterator[Outcome]:
     """What comes of each file, in order; a bad one does not end it. `root`: where the names shown begin."""
     for file in files:
-        label = str(file.relative_to(root)) if root in file.parents else file.name
+        label = _shown(str(file.relative_to(root)) if root in file.parents else file.name)
         try:
             yield Outcome(file, label, loaded=load(file, options))
         except LeftOutError as error:
@@ -154,6 +154,11 @@ def read_all(files: Sequence[Path], root: Path, options: ReadOptions | None = No
             yield Outcome(file, label, error=_without_name(as_ours(error), file))
         except DEGENERATE as error:
             yield Outcome(file, label, error=f"no person can be made of it ({error})")
+
+
+def _shown(name: str) -> str:
+    """A file's name in one line of text that any output takes: line breaks and bytes that are no text are escaped."""
+    return name if name.isprintable() else ascii(name)[1:-1]
 
 
 def _without_name(error: InvalidInputError | Exception, file: Path) -> str:

@@ -128,6 +128,7 @@ def main(
     up: Annotated[str, typer.Option(help="vertical axis of the files: x, y or z; auto finds it")] = "auto",
     unit: Annotated[float | None, typer.Option(metavar="METRES", help="metres in one unit of the files")] = None,
     joints: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON of our joint names to the files'")] = None,
+    root: Annotated[str | None, typer.Option(metavar="NAME", help="which of several roots of a BVH")] = None,
 ) -> None:
     """Follow every clip once and report success, errors and falls by behaviour; exit code 1 if a file is unreadable."""
     if (clips is not None) + (corpus is not None) != 1 if suite is None else clips is not None:
@@ -155,7 +156,7 @@ def main(
     outcomes: list[Outcome] = []
     try:
         if clips is not None:
-            options = ReadOptions(fps, up.lower(), unit, read_joint_map(joints) if joints is not None else None)
+            options = ReadOptions(fps, up.lower(), unit, read_joint_map(joints) if joints is not None else None, root)
             motions, outcomes = motions_of_files(clips, options, typer.echo)
             typer.echo(summary(outcomes))
         else:

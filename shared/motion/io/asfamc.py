@@ -41,11 +41,13 @@ class _Skeleton:
 
 @dataclass
 class _Motion:
-    """Values per bone, (T, channels); `radians` and `fps` None where the file does not say."""
+    """Values per bone, (T, channels); `radians` and `fps` None where the file does not say; `unknown`: names in it that
+    its skeleton does not have."""
 
     values: dict[str, Array]
     radians: bool | None
     fps: float | None
+    unknown: list[str]
 
 
 def _axis_matrix(angles: Array, order: str, radians: bool) -> Array:
@@ -130,6 +132,7 @@ def _read_amc(path: Path, widths: Mapping[str, int]) -> _Motion:
     """An AMC file. `widths`: how many values each bone has; what is not among them is passed over."""
     values: dict[str, list[list[float]]] = {}
     seen: set[str] = set()
+    unknown: list[str] = []
     frames = 0
     started = 0
     radians: bool | None = None
@@ -160,6 +163,8 @@ def _read_amc(path: Path, widths: Mapping[str, int]) -> _Motion:
         if not frames:
             raise fail(index, f"{words[0]!r} before the first frame number")
         if words[0] not in widths:
+            if words[0] not in unknown:
+                unknown.append(words[0])
             continue
         try:
             row = [number(w) for w in words[1:]]
@@ -179,7 +184,7 @@ def _read_amc(path: Path, widths: Mapping[str, int]) -> _Motion:
         raise fail(
             started, f"the last frame has no {', '.join(sorted(set(values) - seen))}: the file seems to be cut off"
         )
-    return _Motion({name: np.array(rows) for name, rows in values.items()}, radians, fps)
+    return _Motion({name: np.array(rows) for name, rows in values.items()}, radians, fps, unknown)
 
 
 def _ordered(links: list[tuple[str, str]], path: Path, bones: Mapping[str, _Bone]) -> dict[str, str]:
@@ -199,6 +204,11 @@ def _ordered(links: list[tuple[str, str]], path: Path, bones: Mapping[str, _Bone
             raise InvalidInputError(f"{path.name}: {left[0][1]} of the hierarchy hangs on no root", field="asf")
         left = later
     return out
+
+
+def _listed(names: list[str]) -> str:
+    """The first few names."""
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
 
 
 def read_asf_amc(
@@ -230,6 +240,10 @@ def read_asf_amc(
     widths = {name: len(bone.dof) for name, bone in bones.items()} | {"root": len(skeleton.root_order)}
     motion = _read_amc(amc, widths)
     rate, warnings = rate_of(amc.name, motion.fps, options)
+    if motion.unknown:
+        warnings.append(f"{asf.name} has no {_listed(motion.unknown)}: passed over")
+    if still := [name for name, bone in bones.items() if bone.dof and name not in motion.values]:
+        warnings.append(f"no values for {_listed(still)} of {asf.name}: held as in its zero pose")
     names = ("root", *parent_of)
     index = {name: i for i, name in enumerate(names)}
     parents = (-1, *(index[parent] for parent in parent_of.values()))

@@ -25,6 +25,7 @@ def read_bvh(
     unit_m: float | None = None,
     fps: float | None = None,
     joints: Mapping[str, str] | None = None,
+    root: str | None = None,
 ) -> RawMotion:
     """Read a BVH file. Of several roots the first that has legs is read, and said so in the warnings.
 
@@ -34,20 +35,21 @@ def read_bvh(
         unit_m: metres in one unit of the file; None guesses it from the leg length.
         fps: frames per second in place of the file's.
         joints: our joint names to the file's, where its names are not known.
+        root: of several roots the one to read.
 
     Raises:
         InvalidInputError: not a BVH file (the message names the line), a rate that no recording has, or a skeleton
             without recognisable legs.
     """
     path = Path(path)
-    options = ReadOptions(fps, up, unit_m, joints)
+    options = ReadOptions(fps, up, unit_m, joints, root)
     text = read_bvh_text(path)
     if text.frame_time_s == 0 and fps is None:
         raise InvalidInputError(f"{path.name}: Frame Time is 0 (give the rate with --fps)", field="fps")
     said = 1.0 / text.frame_time_s if text.frame_time_s else None
     wording = f"Frame Time {text.frame_time_s:g} s means" if text.frame_time_s else ""
     rate, warnings = rate_of(path.name, said, options, wording)
-    joints_read, chosen = _person(text, options)
+    joints_read, chosen = _person(path.name, text, options)
     warnings = text.warnings + warnings + chosen
     try:
         return _motion(text, joints_read, rate, str(path), options, warnings)
@@ -55,14 +57,24 @@ def read_bvh(
         raise InvalidInputError(f"{path.name}: {error.message}", field=error.field, allowed=error.allowed) from error
 
 
-def _person(text: BvhText, options: ReadOptions) -> tuple[list[int], list[str]]:
-    """Joints of the root that has legs, and what to say where there are several roots."""
+def _person(file: str, text: BvhText, options: ReadOptions) -> tuple[list[int], list[str]]:
+    """Joints of the root that was asked for, else of the first that has legs, and what to say where there are several.
+
+    Raises:
+        InvalidInputError: none of several roots is the one that was asked for.
+    """
     tops: list[int] = []
     for joint, parent in enumerate(text.parents):
         tops.append(joint if parent < 0 else tops[parent])
     roots = [joint for joint, parent in enumerate(text.parents) if parent < 0]
     if len(roots) == 1:
         return list(range(len(tops))), []
+    names = ", ".join(text.full_names[root] for root in roots)
+    if options.root is not None:
+        wanted = [root for root in roots if options.root in (text.full_names[root], text.names[root])]
+        if not wanted:
+            raise InvalidInputError(f"{file}: no root is called {options.root!r}", field="root", allowed=names)
+        return [joint for joint, top in enumerate(tops) if top == wanted[0]], []
     people = []
     for root in roots:
         own = [joint for joint, top in enumerate(tops) if top == root]
@@ -75,8 +87,9 @@ def _person(text: BvhText, options: ReadOptions) -> tuple[list[int], list[str]]:
         people.append(own)
     if not people:
         return list(range(len(tops))), []
-    names = ", ".join(text.full_names[root] for root in roots)
-    which = "the one with legs" if len(people) == 1 else f"the first of {len(people)} with legs"
+    which = "the one with legs"
+    if len(people) > 1:
+        which = f"the first of {len(people)} with legs (--root says otherwise)"
     return people[0], [f"{len(roots)} roots ({names}): {text.full_names[people[0][0]]} is read, {which}"]
 
 
@@ -100,9 +113,7 @@ def _motion(
         if turns:
             turned = turned or bool(block[:, turns].any())
             local[:, i] = euler_matrix("".join(channels[k][0] for k in turns), np.radians(block[:, turns]))
-        shifts = {
-            "xyz".index(c[0]): block[:, k] for k, c in enumerate(channels) if c[1:] in ("position", "translation")
-        }
+        shifts = {"xyz".index(c[0]): block[:, k] for k, c in enumerate(channels) if c[1:] == "position"}
         if shifts:
             moving[i] = _shifted(offsets[i], shifts, frames, parents[i] < 0)
             if parents[i] >= 0 and not np.linalg.norm(offsets[i]) > 1e-9:

@@ -50,6 +50,7 @@ class _Reader:
     def __init__(self, path: Path):
         self._name = path.name
         self._lines = read_lines(path)
+        self._unknown: dict[str, int] = {}
         self.out = BvhText()
 
     def fail(self, index: int, what: str) -> NoReturn:
@@ -91,11 +92,12 @@ class _Reader:
                         self.fail(index, "MOTION without a ROOT before it")
                     return index + 1
                 elif kind != "HIERARCHY":
-                    self.fail(index, f"not BVH: {line.strip()[:60]!r}")
+                    text = line.strip()[:60]
+                    self.fail(index, f"not BVH: {text!r}" if text.isprintable() else "not BVH, but binary data")
         self.fail(len(self._lines) - 1, "the file ends without a MOTION section")
 
     def _joint(self, index: int, kind: str, name: str, stack: list[int]) -> int:
-        out = self.out
+        out, name = self.out, name.strip("\"'")
         if kind == "JOINT" and not stack:
             self.fail(index, f"JOINT {name} is in no ROOT")
         if kind in ("END", "ENDSITE") and not stack:
@@ -121,12 +123,15 @@ class _Reader:
         if not words or not words[0].isdigit():
             self.fail(index, "CHANNELS without their number")
         count = int(words[0])
-        channels = [w.lower() for w in words[1 : 1 + count]]
+        channels = [_spelled(w) for w in words[1 : 1 + count]]
         if len(channels) != count or any(c.upper() in _KEYWORDS for c in channels):
             self.fail(index, f"CHANNELS says {count}, but names {len(words) - 1}")
+        if "wrotation" in channels:
+            self.fail(index, "rotations as quaternions are not read, only as angles about x, y and z")
         strange = [c for c in channels if not _known(c)]
         if strange:
-            self.out.warnings.append(f"channels {', '.join(strange)} of {self.out.full_names[joint]} are passed over")
+            told = ", ".join(strange)
+            self._unknown[told] = self._unknown.get(told, 0) + 1
         self.out.channels[joint] += channels
         left = words[1 + count :]
         if left and left[0].upper() not in _KEYWORDS:
@@ -153,6 +158,11 @@ class _Reader:
         width = sum(len(c) for c in self.out.channels)
         if width == 0:
             self.fail(start - 1, "no joint has channels: nothing moves")
+        if not any(_known(c) for channels in self.out.channels for c in channels):
+            told = "; ".join(self._unknown)
+            self.fail(start - 1, f"no channel is called as in BVH (Xposition, Zrotation and so on), but {told}")
+        for told, count in self._unknown.items():
+            self.out.warnings.append(f"channels {told} of {count} joint{'s' * (count > 1)} are passed over")
         if not rows:
             raise InvalidInputError(f"{self._name}: no frames after its MOTION line", field="path")
         if len(rows) > MAX_FRAMES:
@@ -204,8 +214,21 @@ class _Reader:
         return values
 
 
+_SHORT = re.compile(r"(?P<axis>[xyz])_?(?P<kind>rot|pos|trans)[a-z]*|(?P<first>rot|pos|trans)[a-z]*_?(?P<last>[xyz])")
+
+
+def _spelled(word: str) -> str:
+    """A channel's name in lower case, as BVH has it: `xrotation` for `XROT` and `rotateX`."""
+    word = word.lower().strip(",;\"'")
+    found = _SHORT.fullmatch(word)
+    if found is None:
+        return word
+    kind = "rotation" if (found["kind"] or found["first"]) == "rot" else "position"
+    return f"{found['axis'] or found['last']}{kind}"
+
+
 def _known(channel: str) -> bool:
-    return channel[:1] in "xyz" and channel[1:] in ("rotation", "position", "translation")
+    return channel[:1] in ("x", "y", "z") and channel[1:] in ("rotation", "position")
 
 
 def read_bvh_text(path: Path) -> BvhText:

@@ -36,7 +36,7 @@ def find_motion_files(path: Path, but_not: Path | None = None) -> list[Path]:
         p
         for p in sorted(path.rglob("*"))
         if p.suffix.lower() in SUFFIXES
-        and p.is_file()
+        and (p.is_file() or (p.is_symlink() and not p.exists()))
         and not any(part.startswith(".") or part == "__MACOSX" for part in p.relative_to(path).parts)
     ]
     apart = but_not.resolve() if but_not is not None else None
@@ -76,13 +76,14 @@ def read_motion(path: str | Path, options: ReadOptions | None = None) -> RawMoti
     options = options or ReadOptions()
     suffix = path.suffix.lower()
     if not path.is_file():
-        raise InvalidInputError(f"{path} is not a file", field="path")
+        gone = "a link to a file that is not there" if path.is_symlink() else "not a file"
+        raise InvalidInputError(f"{path.name}: {gone}", field="path")
     if suffix == ".bvh":
-        return read_bvh(path, options.up, options.unit_m, options.fps, options.joints)
+        return read_bvh(path, options.up, options.unit_m, options.fps, options.joints, options.root)
     if suffix == ".npz":
         return read_smpl_npz(path, options.up, options.unit_m, options.fps)
     if suffix == ".amc":
         return read_asf_amc(find_skeleton(path), path, options.fps, options.unit_m, options.up, options.joints)
     if suffix == ".asf":
         raise InvalidInputError(f"{path.name}: a skeleton without motion; give its AMC", field="path")
-    raise InvalidInputError(f"{path.name}: unknown type", field="path", allowed=", ".join(SUFFIXES))
+    raise InvalidInputError(f"{path.name}: not one of the types that are read: {', '.join(SUFFIXES)}", field="path")

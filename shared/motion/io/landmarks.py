@@ -59,6 +59,8 @@ ACCLAIM_SEGMENTS: dict[str, str] = {
 
 REQUIRED = tuple(f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle"))
 _PARTS = ("hip", "knee", "ankle", "toe", "collar", "shoulder", "elbow", "wrist")
+_ABOVE = {"knee": "hip", "ankle": "knee", "toe": "ankle", "elbow": "shoulder", "wrist": "elbow"}
+"""Where several joints have a name, as a hand and a glove may, it is the one on the limb."""
 MARKS = tuple(f"{side}_{part}" for side in ("left", "right") for part in _PARTS) + ("head", "neck")
 
 
@@ -117,7 +119,8 @@ def find_landmarks(
             for alias in ALIASES[part]:
                 hits = [i for i, b in enumerate(bare) if b == (side, alias)]
                 if hits:
-                    found[f"{side}_{part}"] = hits[0]
+                    above = found.get(f"{side}_{_ABOVE[part]}") if part in _ABOVE else None
+                    found[f"{side}_{part}"] = next((i for i in hits if _hangs_on(i, above, parents)), hits[0])
                     break
         _settle_side(side, found, bare, parents)
     for part in ("head", "neck"):
@@ -139,6 +142,15 @@ def find_landmarks(
             ' theirs such as {"left_hip": "Bone_12"} (--joints FILE)',
         )
     return found
+
+
+def _hangs_on(joint: int, above: int | None, parents: tuple[int, ...]) -> bool:
+    """Whether `above` is among the ancestors of a joint."""
+    while above is not None and joint >= 0:
+        joint = parents[joint]
+        if joint == above:
+            return True
+    return False
 
 
 def _far_ends(found: dict[str, int], parents: tuple[int, ...]) -> dict[str, int]:

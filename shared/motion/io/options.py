@@ -26,12 +26,14 @@ class ReadOptions:
         up: the vertical axis: 'auto', 'x', 'y' or 'z' (also with a minus).
         unit_m: metres in one unit of the file.
         joints: our joint names to the file's, for skeletons whose names are not known.
+        root: name of the root to read where a file has several, such as two people.
     """
 
     fps: float | None = None
     up: str = "auto"
     unit_m: float | None = None
     joints: Mapping[str, str] | None = None
+    root: str | None = None
 
     def __post_init__(self) -> None:
         if self.fps is not None and not SLOWEST_HZ <= self.fps <= FASTEST_HZ:

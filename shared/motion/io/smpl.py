@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -14,8 +13,9 @@ from shared.motion.io.landmarks import Array, find_landmarks, find_segments
 from shared.motion.io.options import ReadOptions, rate_of
 from shared.motion.io.raw import LeftOutError, RawMotion, accumulate, compose
 from shared.motion.kinematics import forward_kinematics
-from shared.motion.rotations import matrix_from_6d, matrix_from_rotvec
+from shared.motion.rotations import matrix_from_6d, matrix_from_rotvec, rotvec_from_matrix
 from shared.motion.skeleton import CANONICAL
+from shared.npz import read_npz_file
 
 _RATE_KEYS = ("mocap_framerate", "mocap_frame_rate", "framerate", "frame_rate", "mocap_fps", "fps")
 _WHOLE_KEYS = ("poses", "pose", "smpl_poses")
@@ -23,6 +23,8 @@ _ROOT_KEYS = ("root_orient", "global_orient")
 _BODY_KEYS = ("pose_body", "body_pose")
 _PLACE_KEYS = ("trans", "transl", "smpl_trans")
 _OURS = ("positions_w_m", "rotations_6d")
+MOST_BYTES = 2**31
+"""Of the arrays of one file, unpacked: hours of motion."""
 _UPRIGHT = 0.7
 _MOSTLY = 0.8
 _FLAT_M = 0.3
@@ -32,19 +34,15 @@ _Y_OR_Z = (("y", 1), ("z", 2))
 def _arrays(path: Path) -> dict[str, np.ndarray]:
     """The arrays of an npz that are looked for here, and the names of all."""
     wanted = (*_RATE_KEYS, *_WHOLE_KEYS, *_ROOT_KEYS, *_BODY_KEYS, *_PLACE_KEYS, *_OURS)
+    if path.stat().st_size == 0:
+        raise InvalidInputError(f"{path.name}: the file is empty", field="path")
     try:
-        if path.stat().st_size == 0:
-            raise InvalidInputError(f"{path.name}: the file is empty", field="path")
-        with np.load(path, allow_pickle=False) as data:
-            if not isinstance(data, np.lib.npyio.NpzFile):
-                raise InvalidInputError(f"{path.name}: a single array, not an npz of several", field="path")
-            names = list(data.files)
-            arrays = {k: np.asarray(data[k]) for k in names if k in wanted}
-    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, NotImplementedError) as error:
+        names, arrays = read_npz_file(path, wanted, MOST_BYTES)
+    except InvalidInputError as error:
         raise InvalidInputError(
-            f"{path.name}: not a readable npz, it may be cut off or broken ({error})", field="path"
+            f"{path.name}: not a readable npz, it may be cut off or broken ({error.message})", field="path"
         ) from error
-    if not any(k in arrays for k in (*_WHOLE_KEYS, *_BODY_KEYS, *_OURS)):
+    if not any(k in arrays for k in (*_WHOLE_KEYS, *_BODY_KEYS)) and not all(k in arrays for k in _OURS):
         raise LeftOutError(
             f"{path.name}: no motion in it (its arrays: {', '.join(names[:12]) or 'none'})",
             field="path",
@@ -75,12 +73,22 @@ def _rate(path: Path, arrays: Mapping[str, np.ndarray], options: ReadOptions) ->
         return rate_of(path.name, None, options)
     array = arrays[key]
     try:
-        if array.size != 1:
+        if array.size != 1 or array.dtype.kind not in "fiuSU":
             raise ValueError
         said = float(array.reshape(-1)[0])
     except ValueError:
         raise InvalidInputError(f"{path.name}: {key} {str(array)[:40]!r} is no rate", field="fps") from None
     return rate_of(path.name, said, options, f"{key} says")
+
+
+def _axis_angles(poses: Array) -> Array:
+    """Poses (T, 3 J) as they are, with an axis for the joints, or as rotation matrices of nine numbers a joint."""
+    square = poses.ndim == 4 and poses.shape[2:] == (3, 3)
+    if square or (poses.ndim == 2 and len(poses) and poses.shape[1] and poses.shape[1] % 9 == 0):
+        matrices = poses.reshape(len(poses), -1, 3, 3)
+        if np.allclose(matrices @ np.swapaxes(matrices, -1, -2), np.eye(3), atol=1e-3):
+            return rotvec_from_matrix(matrices).reshape(len(poses), -1)
+    return poses.reshape(len(poses), -1) if poses.ndim == 3 and poses.shape[2] == 3 else poses
 
 
 def _poses(path: Path, arrays: Mapping[str, np.ndarray]) -> tuple[Array, Array, list[str]]:
@@ -89,8 +97,7 @@ def _poses(path: Path, arrays: Mapping[str, np.ndarray]) -> tuple[Array, Array, 
     whole, body = _first(arrays, _WHOLE_KEYS), _first(arrays, _BODY_KEYS)
     said: list[str] = []
     if whole is not None:
-        poses = _numbers(path, "poses", whole)
-        poses = poses.reshape(len(poses), -1) if poses.ndim == 3 and poses.shape[2] == 3 else poses
+        poses = _axis_angles(_numbers(path, "poses", whole))
     else:
         assert body is not None
         pose = _numbers(path, "pose_body", body)
@@ -99,7 +106,9 @@ def _poses(path: Path, arrays: Mapping[str, np.ndarray]) -> tuple[Array, Array, 
         if turn is None or turn.size != 3 * len(pose) or pose.ndim != 2:
             raise InvalidInputError(f"{path.name}: pose_body {pose.shape} without a root_orient of its", field="path")
         poses = np.concatenate([_numbers(path, "root_orient", turn).reshape(-1, 3), pose], axis=1)
-    if poses.ndim != 2 or poses.shape[1] < joints * 3 or poses.shape[1] % 3 or len(poses) == 0:
+    if len(poses) == 0:
+        raise LeftOutError(f"{path.name}: 0 frames are too few", field="path", allowed=">= 4")
+    if poses.ndim != 2 or poses.shape[1] < joints * 3 or poses.shape[1] % 3:
         raise InvalidInputError(
             f"{path.name}: poses {poses.shape}", field="path", allowed=f"(T, {joints * 3} or more), 3 a joint"
         )
@@ -108,7 +117,12 @@ def _poses(path: Path, arrays: Mapping[str, np.ndarray]) -> tuple[Array, Array, 
         trans = np.zeros((len(poses), 3))
         said.append("no trans in the file: the person stays in place")
     else:
-        trans = _numbers(path, "trans", place).reshape(-1, 3) if place.size % 3 == 0 else np.zeros((0, 3))
+        trans = _numbers(path, "trans", place)
+        if trans.ndim == 2 and trans.shape[1] != 3 and trans.shape == (3, len(poses)):
+            trans = trans.T
+        if trans.ndim == 2 and trans.shape[1] != 3:
+            raise InvalidInputError(f"{path.name}: trans {trans.shape}", field="path", allowed=f"({len(poses)}, 3)")
+        trans = trans.reshape(-1, 3) if trans.size % 3 == 0 else np.zeros((0, 3))
     if len(trans) != len(poses):
         raise InvalidInputError(f"{path.name}: {len(poses)} poses but {len(trans)} places in trans", field="path")
     return poses[:, : joints * 3].reshape(-1, joints, 3), trans, said
@@ -210,7 +224,7 @@ def _own_clip(path: Path, arrays: Mapping[str, np.ndarray]) -> tuple[Array, Arra
 def is_own_clip(path: Path) -> bool:
     """Whether an npz is a clip that `motionloop data import` wrote."""
     try:
-        with np.load(path, allow_pickle=False) as data:
-            return isinstance(data, np.lib.npyio.NpzFile) and all(k in data for k in _OURS)
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile):
+        names, _ = read_npz_file(path, (), MOST_BYTES)
+    except InvalidInputError:
         return False
+    return all(name in names for name in _OURS)

@@ -46,8 +46,9 @@ def read_lines(path: Path) -> list[str]:
         raise InvalidInputError(f"{path.name}: cannot be opened ({error.strerror})", field="path") from error
     if not data.strip(b" \t\r\n\0"):
         raise InvalidInputError(f"{path.name}: the file is empty", field="path")
-    # Only these end a line: str.splitlines would also cut at characters that occur in names.
-    return re.split(r"\r\n|\r|\n", decode(data))
+    # Only these end a line: str.splitlines would also cut at characters that occur in names. Some programs fill the
+    # last block of a file with zeros, or end it as DOS did.
+    return re.split(r"\r\n|\r|\n", decode(data).rstrip("\0\x1a"))
 
 
 def number(word: str) -> float:
