@@ -100,6 +100,8 @@ def press(
 ) -> tuple[float, float]:
     """Press the mouse on a point of the world, an expression over `m`, and see that the page holds what was meant.
 
+    `joint` is the limb's, the target's, or the name of an object.
+
     The page draws when it can, and what is aimed at may have moved by the time of the press: one that took something
     else is given up (Escape, so that it means nothing) and tried again. Returns the pixel.
     """
@@ -110,7 +112,7 @@ def press(
         page.mouse.move(x, y)
         page.mouse.down()
         held = look(page, "m.held")
-        if held is not None and held["kind"] == kind and joint in (None, held["joint"]):
+        if held is not None and held["kind"] == kind and joint in (None, held["joint"], held["name"]):
             return x, y
         page.keyboard.press("Escape")
         page.mouse.up()

@@ -219,6 +219,7 @@ def test_an_episode_is_built_run_and_watched(page: Page, http: httpx.Client) -> 
     page.get_by_role("button", name="Add Walk to a point").click()
     page.get_by_role("button", name="Move Walk to a point up").click()
     page.get_by_label("Ahead, m").fill("0.8")
+    page.get_by_label("For, s").fill("8")  # time to watch it, however slow this machine is
     note(page, "watching", "m.view.watching.kind")
     note(page, "frame", "m.view.frame?.status")
     note(page, "command", "m.view.task?.task ?? null")

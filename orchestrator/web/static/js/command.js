@@ -91,7 +91,7 @@ export function setUpCommands() {
     showIdeas("");
     await attempt(async () => {
       const note = takenAs(await send({ text: words }));
-      if (note !== "") toast(note, "note");
+      if (note !== "") toast(note, "info");
     });
   }
 

@@ -1,9 +1,11 @@
 // Puts the parts together and draws.
 
+import { setUpAgenda } from "./agenda.js";
 import { call } from "./api.js";
 import { setUpCharacters } from "./characters.js";
 import { setUpCharts } from "./charts.js";
 import { makeSteering, pickLimb, pointFor, sendTarget, setUpCommands, setUpTargetForm } from "./command.js";
+import { setUpDeeds } from "./deeds.js";
 import { attempt, byId, toast } from "./dom.js";
 import { offeredFormats, setUpEpisodes } from "./episodes.js";
 import { Ghost } from "./ghost.js";
@@ -16,7 +18,7 @@ import { LivePose } from "./pose.js";
 import { Replay } from "./replay.js";
 import { setUpServices } from "./services.js";
 import { Session } from "./session.js";
-import { currentTarget, jointPosition, on, view } from "./store.js";
+import { currentTarget, jointPosition, on, update, view } from "./store.js";
 import { setUpTabs } from "./tabs.js";
 import { setUpTake } from "./take.js";
 import { setUpTasks } from "./tasks.js";
@@ -40,6 +42,7 @@ async function main() {
   expose(stage);
   setUpTabs();
   setUpNow();
+  setUpAgenda();
   setUpTimeline();
   setUpCharts();
   setUpCommands();
@@ -67,7 +70,8 @@ async function main() {
 }
 
 function setUpPointer(stage) {
-  const { world, mannequin, marker, arrow } = stage;
+  const { world, marker } = stage;
+  const act = setUpDeeds(stage.session, stage.objects);
   const push = (joint, impulse) =>
     attempt(() =>
       call("POST", `/v1/characters/${view.watching.id}/impulses`, {
@@ -75,7 +79,8 @@ function setUpPointer(stage) {
       }),
     );
   const steer = makeSteering();
-  const pointer = new Pointer(world, mannequin, marker, arrow, {
+  const pointer = new Pointer(stage, {
+    object: (name) => act(name),
     floor: (point) => {
       const joint = view.picked;
       pickLimb(null);
@@ -99,6 +104,7 @@ function setUpPointer(stage) {
   stage.pointer = pointer;
   const allow = () => {
     pointer.enabled = view.mode === "live" && view.watching?.kind === "character";
+    pointer.objectsEnabled = view.mode === "live";
   };
   on("mode", allow);
   on("watching", allow);
@@ -116,12 +122,14 @@ function setUpScene({ world, objects, replay }) {
     if (wanted === shown) return;
     shown = wanted;
     objects.use(null);
+    update("scene", { scene: null });
     if (wanted === null) return;
     attempt(async () => {
       const scene = await call("GET", wanted);
       if (shown !== wanted) return;
       objects.use(scene);
-      world.makeRoomFor(scene.bodies.length > 0, jointPosition("pelvis") ?? undefined);
+      update("scene", { scene });
+      world.makeRoomFor(scene.bodies.map((body) => body.position_w_m), jointPosition("pelvis") ?? undefined);
     });
   };
   on("watching", refresh);

@@ -1,11 +1,13 @@
 // The panel "Now": what the character does, in words and numbers; and the badges over the view.
 
+import { triesWords } from "./agenda.js";
 import { byId, clock, jointWords, setText } from "./dom.js";
 import { on, view } from "./store.js";
 
 const WORDS = {
   connecting: "connecting", lost: "reconnecting", ended: "ended",
-  running: "running", paused: "paused", degraded: "planner away", failed: "failed",
+  running: "running", paused: "paused", degraded: "planner away", failed: "failed", created: "preparing",
+  choosing: "between tasks", settling: "holding still", recovering: "back on its feet soon",
 };
 const REACHED_M = 0.3;
 
@@ -37,6 +39,25 @@ function targetWords() {
   return away <= REACHED_M ? `${words} reached` : `${words} ${away.toFixed(1)} m`;
 }
 
+/** How it is, in words: on its feet, getting up, at which try of a task. */
+function stateWords(frame) {
+  if (frame === null) return "-";
+  if (gettingUp()) return "getting up";
+  if (frame.fallen) return "fallen";
+  const now = view.watching?.kind === "episode" ? view.agenda.find((item) => item.state === "now") : undefined;
+  const of = now === undefined || now.retries === 0 ? "" : `, ${triesWords(now)}`;
+  if (frame.status === "acting") return `acting${of}`;
+  return WORDS[frame.status] ?? frame.status;
+}
+
+/** Whether the newest of the events that tell of it says that a fallen body is on its way up. */
+function gettingUp() {
+  const { status } = view.frame;
+  if (view.mode !== "live" || (view.watching?.kind === "episode" && status !== "recovering")) return false;
+  const told = view.events.findLast(({ type }) => ["getting_up", "stood_up", "reset", "task_begin"].includes(type));
+  return told?.type === "getting_up";
+}
+
 /** Wire the panel. */
 export function setUpNow() {
   const facts = {
@@ -47,7 +68,7 @@ export function setUpNow() {
     setText(byId("doing"), doing());
     setText(facts.target, targetWords());
     const { frame } = view;
-    setText(facts.state, frame === null ? "-" : frame.fallen ? "fallen" : (WORDS[frame.status] ?? frame.status));
+    setText(facts.state, stateWords(frame));
     setText(facts.time, frame === null ? "-" : clock(frame.tick / 30));
     const place = frame === null ? null : [frame.positions[0], frame.positions[1]];
     setText(facts.place, place === null ? "-" : `${place[0].toFixed(2)}, ${place[1].toFixed(2)} m`);
@@ -77,7 +98,7 @@ export function setUpNow() {
     refresh();
     badges();
   });
-  for (const topic of ["command", "watching", "mode", "link"]) {
+  for (const topic of ["command", "watching", "mode", "link", "agenda"]) {
     on(topic, () => {
       refresh();
       badges();

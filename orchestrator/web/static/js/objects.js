@@ -16,6 +16,7 @@ export class SceneObjects {
     this.bodies = new Map();
     this.meshes = new Map();
     this.paints = new Map();
+    this.useful = new Set();
     scene.add(this.root);
   }
 
@@ -41,6 +42,25 @@ export class SceneObjects {
     });
   }
 
+  /** Which bodies do something when they are clicked. */
+  allow(names) {
+    this.useful = new Set(names);
+  }
+
+  /** The useful body that a ray meets first, if no other body is before it: { name, distance }, or null. */
+  under(raycaster) {
+    const seen = [...this.meshes.values()].filter((mesh) => mesh.visible);
+    const [hit] = raycaster.intersectObjects(seen, true);
+    const name = hit?.object.parent.userData.name;
+    return this.useful.has(name) ? { name, distance: hit.distance } : null;
+  }
+
+  /** Where a body is drawn: { position, quaternion } of three.js, or null. */
+  poseOf(name) {
+    const mesh = this.meshes.get(name);
+    return mesh?.visible ? mesh : null;
+  }
+
   /** What is drawn now: name to position and number of parts. */
   shown() {
     const visible = [...this.meshes].filter(([, mesh]) => mesh.visible);
@@ -63,6 +83,7 @@ export class SceneObjects {
     const body = this.bodies.get(name);
     if (body === undefined) return null;
     const mesh = new THREE.Group();
+    mesh.userData.name = name;
     for (const part of body.parts) {
       const solid = new THREE.Mesh(SHAPES[part.shape](part.size_m), this.paint(part.colour));
       solid.position.set(...part.position_b_m);

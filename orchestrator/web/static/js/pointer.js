@@ -11,13 +11,15 @@ const NEAR_PX = { mouse: 12, pen: 14, touch: 26 }; // so far beside a limb or th
 const STEADY_MS = 1000;
 
 /**
- * Calls back with what was meant: floor(point), limb(joint), moveTarget(point), dropTarget(point),
- * push(joint, impulse), pushing(newtonseconds or null).
+ * Calls back with what was meant: floor(point), limb(joint), object(name), moveTarget(point), dropTarget(point),
+ * push(joint, impulse), pushing(newtonseconds or null). Where not `enabled`, only the camera can be turned and, with
+ * `objectsEnabled`, an object clicked.
  */
 export class Pointer {
-  constructor(world, mannequin, marker, arrow, callbacks) {
-    Object.assign(this, { world, mannequin, marker, arrow, callbacks });
+  constructor({ world, mannequin, marker, arrow, objects }, callbacks) {
+    Object.assign(this, { world, mannequin, marker, arrow, objects, callbacks });
     this.enabled = true;
+    this.objectsEnabled = true;
     this.raycaster = new THREE.Raycaster();
     this.plane = new THREE.Plane();
     this.drag = null;
@@ -38,11 +40,11 @@ export class Pointer {
       return;
     }
     this.drag = { kind: "view", x: event.clientX, y: event.clientY, moved: false };
-    if (!this.enabled) return;
     this.aim(event);
     const found = this.found(event);
     if (found === null) return;
     this.drag = { ...this.drag, ...found };
+    if (found.kind === "object") return; // drawn aside it turns the camera
     if (found.kind === "target") {
       this.facing(this.marker.position, this.marker.joint === "traj");
     } else {
@@ -61,7 +63,7 @@ export class Pointer {
     }
     if (!event.isPrimary) return;
     if (Math.hypot(event.clientX - drag.x, event.clientY - drag.y) > CLICK_PX) drag.moved = true;
-    if (!drag.moved || drag.kind === "view") return;
+    if (!drag.moved || drag.kind === "view" || drag.kind === "object") return;
     this.aim(event);
     const point = this.raycaster.ray.intersectPlane(this.plane, new THREE.Vector3());
     if (point === null) return;
@@ -83,6 +85,10 @@ export class Pointer {
     const { drag } = this;
     if (drag === null || !event.isPrimary) return;
     this.cancel();
+    if (drag.kind === "object") {
+      if (!drag.moved) this.callbacks.object(drag.name);
+      return;
+    }
     if (!this.enabled) return;
     if (drag.kind === "target") {
       if (drag.moved && drag.point) this.callbacks.dropTarget(drag.point);
@@ -107,23 +113,20 @@ export class Pointer {
   hover(event) {
     if (event.pointerType === "touch") return;
     this.aim(event);
-    const over = this.enabled && this.found(event) !== null;
+    const over = this.found(event) !== null;
     this.overUntil = over ? performance.now() + STEADY_MS : 0;
     this.world.canvas.classList.toggle("over-body", over);
     this.world.canvas.classList.toggle("over-floor", this.enabled && !over && this.floorPoint() !== null);
   }
 
   /**
-   * What a press would take, `aim` being done: { kind: "target" } or { kind: "body", body }, or null. What is under the
-   * pointer goes before what is a little beside it.
+   * What a press would take, `aim` being done: { kind: "target" }, { kind: "body", body }, { kind: "object", name }, or
+   * null. What is under the pointer goes before what is a little beside it.
    */
   found(event) {
-    const grabbed = this.marker.hit(this.raycaster);
-    const body = this.mannequin.under(this.raycaster);
-    if (grabbed !== null && (body === null || grabbed.distance < this.raycaster.ray.origin.distanceTo(body.point))) {
-      return { kind: "target" };
-    }
-    if (body !== null) return { kind: "body", body };
+    const [first] = this.hits().sort((a, b) => a.distance - b.distance);
+    if (first !== undefined) return first;
+    if (!this.enabled) return null;
     const near = NEAR_PX[event.pointerType] ?? NEAR_PX.mouse;
     const away = (position) => {
       const { x, y } = onScreen(this.world, position);
@@ -136,11 +139,24 @@ export class Pointer {
     return limb === undefined ? null : { kind: "body", body: limb };
   }
 
-  /** What is held at this moment: { kind: "view" | "target" | "body", joint }, or null. */
+  hits() {
+    const out = [];
+    const grabbed = this.enabled ? this.marker.hit(this.raycaster) : null;
+    if (grabbed !== null) out.push({ kind: "target", distance: grabbed.distance });
+    const body = this.enabled ? this.mannequin.under(this.raycaster) : null;
+    if (body !== null) {
+      out.push({ kind: "body", body, distance: this.raycaster.ray.origin.distanceTo(body.point) });
+    }
+    const object = this.objectsEnabled ? this.objects.under(this.raycaster) : null;
+    if (object !== null) out.push({ kind: "object", ...object });
+    return out;
+  }
+
+  /** What is held at this moment: { kind: "view" | "target" | "body" | "object", joint, name }, or null. */
   held() {
     if (this.drag === null) return null;
-    const { kind, body } = this.drag;
-    return { kind, joint: kind === "target" ? this.marker.joint : (body?.joint ?? null) };
+    const { kind, body, name } = this.drag;
+    return { kind, joint: kind === "target" ? this.marker.joint : (body?.joint ?? null), name: name ?? null };
   }
 
   /** Whether the camera must keep still: while something is dragged, and when the pointer has just come upon it. */

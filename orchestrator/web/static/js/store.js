@@ -13,6 +13,8 @@ export const view = {
   plan: null,
   command: null,
   task: null, // of a running episode
+  agenda: [], // of a running episode: [{ type, name, retries, state, tries, reason }]
+  scene: null, // as the seed made it
   events: [],
   health: null,
   services: null,

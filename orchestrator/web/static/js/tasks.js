@@ -1,13 +1,10 @@
 // Buttons for the tasks there are, and the episode that is put together from them.
 
+import { titleOf } from "./agenda.js";
 import { call } from "./api.js";
 import { attempt, byId, el, icon } from "./dom.js";
 import { view } from "./store.js";
 
-const TITLE = {
-  reach: "Walk to a point", halt: "Stand still", text: "Do what I say", strike: "Strike", sit: "Sit down",
-  get_up: "Get up", velocity: "Keep a speed",
-};
 const WHAT = {
   reach: "To a place ahead of it, or anywhere", halt: "Stop, and stay there", text: "Anything you can put in words",
   strike: "Topple the bag of a scene that has one", sit: "On the seat of a scene that has one",
@@ -52,7 +49,7 @@ export async function setUpTasks(session) {
     const button = (name, label, disabled, data, act) =>
       el("button", { type: "button", class: "icon-button", "aria-label": label, disabled, dataset: data, onclick: act },
         icon(name));
-    const title = TITLE[task.kind.type] ?? task.kind.type;
+    const title = titleOf(task.kind.type);
     return el("li", {},
       el("div", { class: "head" }, el("b", {}, title),
         button("up", `Move ${title} up`, i === 0, { up: "" }, () => move(i, -1)),
@@ -67,11 +64,11 @@ export async function setUpTasks(session) {
   byId("kinds").replaceChildren(
     ...items.map((kind) =>
       el("div", { class: "kind" },
-        el("div", {}, el("b", {}, TITLE[kind.type] ?? kind.type), el("p", {}, WHAT[kind.type] ?? firstSentence(kind.description))),
+        el("div", {}, el("b", {}, titleOf(kind.type)), el("p", {}, WHAT[kind.type] ?? firstSentence(kind.description))),
         el("button", { type: "button", class: "quiet", onclick: () => add(kind),
-          "aria-label": `Add ${TITLE[kind.type] ?? kind.type}` }, "Add"),
+          "aria-label": `Add ${titleOf(kind.type)}` }, "Add"),
         el("button", { type: "button", class: "primary",
-          "aria-label": `Run ${TITLE[kind.type] ?? kind.type} now`,
+          "aria-label": `Run ${titleOf(kind.type)} now`,
           onclick: () => attempt(() => run([body({ kind, values: defaults(kind) })], scene())) }, "Run")),
     ),
   );

@@ -1,20 +1,21 @@
 // The last half minute of the character's state machine: states, commands or tasks, and what happened.
 
 import { byId, clock, el } from "./dom.js";
+import { titleOf } from "./agenda.js";
 import { on, view } from "./store.js";
 import { fitted, palette } from "./paint.js";
 
 const WINDOW_TICKS = 30 * 30;
 const NEXT = {
   created: "running", paused: "paused", resumed: "running", degraded: "degraded", recovered: "running",
-  failed: "failed", fallen: "fallen", stood: "running", reset: "running",
+  failed: "failed", fallen: "fallen", stood: "running", reset: "running", getting_up: "getting up", stood_up: "running",
 };
 const COLOUR = {
   running: "accent", acting: "accent", settling: "good", choosing: "muted", created: "muted", paused: "warn",
-  degraded: "warn", recovering: "warn", fallen: "bad", failed: "bad", finished: "good", cancelled: "muted",
+  degraded: "warn", recovering: "warn", "getting up": "warn", fallen: "bad", failed: "bad", finished: "good", cancelled: "muted",
 };
 const MARKS = {
-  impulse: "push", reset: "reset", swap: "swap", fallen: "fell", paused: "pause", degraded: "planner away",
+  task_missed: "missed", getting_up: "gets up", impulse: "push", reset: "reset", swap: "swap", fallen: "fell", paused: "pause", degraded: "planner away",
   planner_lost: "planner away", recovered: "planner back", planner_back: "planner back", stepped: "step",
 };
 
@@ -53,6 +54,10 @@ export function eventWords({ type, data }) {
   switch (type) {
     case "command": return `told: ${told}`;
     case "task_begin": return `begins: ${data.label}`;
+    case "task_missed": return `missed (${data.reason}), tries again`;
+    case "task_inserted": return `added: ${titleOf(data.task.type).toLowerCase()}`;
+    case "getting_up": return "gets up by itself";
+    case "stood_up": return "stands again";
     case "task_end": return `${data.success_strict ? "done" : `not done (${data.reason})`}: ${data.label}`;
     case "state": return `${data.before} to ${data.after}`;
     case "impulse": return `pushed at the ${data.body.replace("_", " ")}, ${Math.round(Math.hypot(...data.impulse_ns))} N s`;

@@ -12,6 +12,10 @@ const LOOKS = {
     shadow: 0.5 },
 };
 const LOOK_HEIGHT_M = 0.86;
+const CHEST_M = 1.2;
+const FAR_THING_M = 5; // what is farther from the character need not be in view at first
+const [NEAREST_ROOM, FARTHEST_ROOM] = [1.4, 2.6]; // times the usual distance
+const WELL_WITHIN = 0.8; // of half the picture
 const FOLLOW_RATE = 3.5; // per second
 const SLOW_FRAME_MS = 40;
 const STILL = 1e-5; // metres, and parts of one
@@ -64,7 +68,7 @@ export class World {
     this.following = true;
     this.still = false; // whether the last two pictures were seen from the same place
     this.seenFrom = new THREE.Matrix4();
-    this.roomy = false;
+    this.roomFor = "[]";
     this.scale = this.frugal ? 0.6 : 1;
     this.cost = 16;
     this.next = 0;
@@ -86,14 +90,28 @@ export class World {
   }
 
   /** Make room for the things of a scene, or for the character alone: how much is in view, and in the light. */
-  makeRoomFor(things, pelvis) {
+  makeRoomFor(places, pelvis = [0, 0, 0]) {
+    const things = places.length > 0;
     const half = things ? 4 : 1.8;
     Object.assign(this.key.shadow.camera, { left: -half, right: half, top: half, bottom: -half });
     this.key.shadow.camera.updateProjectionMatrix();
     this.shade.scale.setScalar(things ? 2.4 : 1);
-    if (things === this.roomy) return;
-    this.roomy = things;
-    this.frameUp(pelvis, things ? 1.6 : 1);
+    const look = JSON.stringify(places);
+    if (look === this.roomFor) return;
+    this.roomFor = look;
+    const near = places.filter(([x, y]) => Math.hypot(x - pelvis[0], y - pelvis[1]) < FAR_THING_M);
+    let away = things ? NEAREST_ROOM : 1;
+    do {
+      this.frameUp(pelvis, away);
+      away += 0.2;
+    } while (away <= FARTHEST_ROOM && near.some((place) => !this.seesAt(place)));
+  }
+
+  /** Whether something that stands at a place, as high as a chest, is well within the picture. */
+  seesAt([x, y]) {
+    this.camera.updateMatrixWorld();
+    const seen = new THREE.Vector3(x, y, CHEST_M).project(this.camera);
+    return Math.abs(seen.x) < WELL_WITHIN && Math.abs(seen.y) < WELL_WITHIN;
   }
 
   /**
