@@ -9,6 +9,8 @@ import { setUpDeeds } from "./deeds.js";
 import { attempt, byId, toast } from "./dom.js";
 import { offeredFormats, setUpEpisodes } from "./episodes.js";
 import { Ghost } from "./ghost.js";
+import { KeyFigures } from "./keyfigure.js";
+import { setUpKeys } from "./keys.js";
 import { bodyShapes, Mannequin } from "./mannequin.js";
 import { PushArrow, TargetMarker } from "./marker.js";
 import { setUpNow } from "./now.js";
@@ -37,7 +39,7 @@ async function main() {
     world, session: new Session(), replay: new Replay(), live: new LivePose(skeleton.joints.length),
     mannequin: new Mannequin(world.scene, skeleton, shapes), ghost: new Ghost(world.scene, skeleton, shapes),
     marker: new TargetMarker(world.scene), arrow: new PushArrow(world.scene),
-    objects: new SceneObjects(world.scene), pointer: null, moving: null,
+    objects: new SceneObjects(world.scene), keys: new KeyFigures(world.scene, skeleton), pointer: null, moving: null,
   };
   expose(stage);
   setUpTabs();
@@ -71,6 +73,7 @@ async function main() {
 
 function setUpPointer(stage) {
   const { world, marker } = stage;
+  const moveKey = setUpKeys(stage.keys);
   const act = setUpDeeds(stage.session, stage.objects);
   const push = (joint, impulse) =>
     attempt(() =>
@@ -81,6 +84,7 @@ function setUpPointer(stage) {
   const steer = makeSteering();
   const pointer = new Pointer(stage, {
     object: (name) => act(name),
+    moveKey,
     floor: (point) => {
       const joint = view.picked;
       pickLimb(null);
@@ -182,6 +186,7 @@ function expose(stage) {
     get drawn_target_m() { return stage.marker.drawn(); },
     get held() { return stage.pointer.held(); },
     get still() { return stage.world.still; },
+    drawn_key_m: (joint) => stage.keys.drawn(joint),
     drawn_m: (joint) => stage.mannequin.drawn(joint),
     joint_m: jointPosition,
     screenOf: (position) => onScreen(stage.world, position),

@@ -12,12 +12,12 @@ const STEADY_MS = 1000;
 
 /**
  * Calls back with what was meant: floor(point), limb(joint), object(name), moveTarget(point), dropTarget(point),
- * push(joint, impulse), pushing(newtonseconds or null). Where not `enabled`, only the camera can be turned and, with
+ * moveKey(joint, point), push(joint, impulse), pushing(newtonseconds or null). Where not `enabled`, only the camera can be turned and, with
  * `objectsEnabled`, an object clicked.
  */
 export class Pointer {
-  constructor({ world, mannequin, marker, arrow, objects }, callbacks) {
-    Object.assign(this, { world, mannequin, marker, arrow, objects, callbacks });
+  constructor({ world, mannequin, marker, arrow, objects, keys }, callbacks) {
+    Object.assign(this, { world, mannequin, marker, arrow, objects, keys, callbacks });
     this.enabled = true;
     this.objectsEnabled = true;
     this.raycaster = new THREE.Raycaster();
@@ -45,7 +45,9 @@ export class Pointer {
     if (found === null) return;
     this.drag = { ...this.drag, ...found };
     if (found.kind === "object") return; // drawn aside it turns the camera
-    if (found.kind === "target") {
+    if (found.kind === "key") {
+      this.facing(found.point, false);
+    } else if (found.kind === "target") {
       this.facing(this.marker.position, this.marker.joint === "traj");
     } else {
       Object.assign(this.drag, { from: found.body.point.clone(), along: new THREE.Vector3() });
@@ -67,6 +69,10 @@ export class Pointer {
     this.aim(event);
     const point = this.raycaster.ray.intersectPlane(this.plane, new THREE.Vector3());
     if (point === null) return;
+    if (drag.kind === "key") {
+      if (this.nearEnough(point)) this.callbacks.moveKey(drag.joint, point);
+      return;
+    }
     if (drag.kind === "target") {
       if (this.marker.joint !== "traj") point.z = Math.max(point.z, 0.02);
       if (this.nearEnough(point)) {
@@ -96,7 +102,7 @@ export class Pointer {
       const impulse = drag.along.clone().multiplyScalar(NS_PER_M);
       if (drag.moved && impulse.length() >= LEAST_NS) this.callbacks.push(drag.body.joint, impulse);
       else if (!drag.moved && drag.body.limb !== null) this.callbacks.limb(drag.body.limb);
-    } else if (!drag.moved) {
+    } else if (drag.kind === "view" && !drag.moved) {
       this.aim(event);
       const point = this.floorPoint();
       if (point !== null && this.nearEnough(point)) this.callbacks.floor(point);
@@ -120,10 +126,12 @@ export class Pointer {
   }
 
   /**
-   * What a press would take, `aim` being done: { kind: "target" }, { kind: "body", body }, { kind: "object", name }, or
+   * What a press would take, `aim` being done: { kind: "key", joint, point }, { kind: "target" }, { kind: "body", body }, { kind: "object", name }, or
    * null. What is under the pointer goes before what is a little beside it.
    */
   found(event) {
+    const key = this.enabled ? this.keys.under(this.raycaster) : null;
+    if (key !== null) return { kind: "key", ...key }; // drawn over everything, and taken before it
     const [first] = this.hits().sort((a, b) => a.distance - b.distance);
     if (first !== undefined) return first;
     if (!this.enabled) return null;
@@ -152,11 +160,12 @@ export class Pointer {
     return out;
   }
 
-  /** What is held at this moment: { kind: "view" | "target" | "body" | "object", joint, name }, or null. */
+  /** What is held at this moment: { kind: "view" | "target" | "body" | "key" | "object", joint, name }, or null. */
   held() {
     if (this.drag === null) return null;
-    const { kind, body, name } = this.drag;
-    return { kind, joint: kind === "target" ? this.marker.joint : (body?.joint ?? null), name: name ?? null };
+    const { kind, body, name, joint } = this.drag;
+    const held = kind === "target" ? this.marker.joint : (body?.joint ?? joint);
+    return { kind, joint: held ?? null, name: name ?? null };
   }
 
   /** Whether the camera must keep still: while something is dragged, and when the pointer has just come upon it. */

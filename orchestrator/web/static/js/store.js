@@ -14,6 +14,8 @@ export const view = {
   command: null,
   task: null, // of a running episode
   agenda: [], // of a running episode: [{ type, name, retries, state, tries, reason }]
+  keys: [], // keyframes that are being edited or were sent, see keys.js
+  key: null, // id of the one that is edited
   scene: null, // as the seed made it
   events: [],
   health: null,
