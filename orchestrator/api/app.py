@@ -48,15 +48,23 @@ async def open_orchestrator(settings: OrchestratorSettings) -> Orchestrator:
     """Connect to both services and open the store."""
     curve = None if settings.curve_dir is None else load_curve_keys(settings.curve_dir, "client")
     limit = settings.connect_timeout_s
-    planner = await connect_patiently(settings.planner, "planner", settings.planner_plugin, curve, limit)
+    wanted: list[tuple[str, Kind, str | None]] = [
+        (settings.planner, "planner", settings.planner_plugin),
+        *((endpoint, "tracker", settings.tracker_plugin) for endpoint in (settings.tracker, *settings.spare_trackers)),
+    ]
+    slots: list[Slot] = []
     try:
-        tracker = await connect_patiently(settings.tracker, "tracker", settings.tracker_plugin, curve, limit)
+        for endpoint, kind, plugin in wanted:
+            slots.append(await connect_patiently(endpoint, kind, plugin, curve, limit))
     except BaseException:
-        await planner.client.close()
+        for slot in slots:
+            await slot.client.close()
         raise
+    planner, tracker, *spares = slots
     store = await asyncio.to_thread(SqliteStore, settings.data_dir)
-    core = Orchestrator(Services(planner, tracker, Scenes(settings.scenes)), store, settings.max_running, curve)
-    await asyncio.to_thread(core.recover)
+    services = Services(planner, tracker, Scenes(settings.scenes), spares, settings.rescue_s)
+    core = Orchestrator(services, store, settings.max_running, curve)
+    await core.recover()
     return core
 
 

@@ -29,6 +29,9 @@ class OrchestratorSettings(Settings):
         scenes: folder of scenes of one's own (YAML), before those of the package.
         curve_dir: folder of CURVE keys, for services on other machines.
         connect_timeout_s: how long to wait for the services at the start.
+        spare_trackers: endpoints of more trackers: characters are spread over all, and one that loses its own lives on
+            at another.
+        rescue_s: how long a character whose tracker was lost is tried to be brought back before it has failed.
         max_running: characters and episodes at once.
         swap_endpoints: where a service may be swapped to, beside `planner` and `tracker`. Without any, a server on
             loopback swaps to wherever it is told and one beyond it nowhere else.
@@ -52,6 +55,8 @@ class OrchestratorSettings(Settings):
     scenes: Path | None = None
     curve_dir: Path | None = Field(default_factory=curve_dir_from_environment)
     connect_timeout_s: Annotated[float, Field(gt=0, le=600)] = 60.0
+    spare_trackers: tuple[str, ...] = ()
+    rescue_s: Annotated[float, Field(ge=0, le=3600)] = 60.0
     max_running: Annotated[int, Field(ge=1, le=1000)] = 64
     swap_endpoints: Names = ()
     max_body_bytes: Annotated[int, Field(ge=1024)] = 2**20

@@ -8,12 +8,14 @@ from typing import Literal
 
 import numpy as np
 
+from orchestrator.core.keepsake import AgendaState
 from orchestrator.core.loop import plan_seed
 from shared.errors import ConflictError
 from shared.tasks.factory import TaskSpec, make_task
 from shared.tasks.interface import Task
 
 MAX_TASKS = 500
+SPARE_S = 120.0
 
 
 def task_seed(seed: int, index: int) -> int:
@@ -36,7 +38,7 @@ class Agenda:
 
     def __init__(self, tasks: Sequence[TaskSpec], order: Literal["sequence", "random"], seed: int):
         self.tasks: list[TaskSpec] = list(tasks)
-        self.longest_s = 120.0 + sum(_longest_s(task) for task in self.tasks)
+        self.longest_s = SPARE_S + sum(_longest_s(task) for task in self.tasks)
         self._seed = seed
         self._to_come = list(range(len(self.tasks)))
         self._attempts: dict[int, int] = {}
@@ -50,8 +52,7 @@ class Agenda:
     def take(self) -> tuple[int, Task]:
         """The next one: its index and the task, ready to be started."""
         index = self._to_come.pop(0)
-        spec = self.tasks[index]
-        return index, make_task(spec.again() if index in self._attempts else spec, task_seed(self._seed, index))
+        return index, self.make(index)
 
     def again(self, index: int) -> bool:
         """Whether a task that has failed is tried once more: it is the next one then."""
@@ -72,6 +73,21 @@ class Agenda:
         self.longest_s += _longest_s(task)
         self._to_come.insert(place, len(self.tasks) - 1)
         return len(self.tasks) - 1
+
+    def remembered(self) -> AgendaState:
+        """For `remember`."""
+        return AgendaState(tasks=list(self.tasks), to_come=list(self._to_come), attempts=dict(self._attempts))
+
+    def remember(self, state: AgendaState) -> None:
+        """Go on as it was."""
+        self.tasks, self._to_come = list(state.tasks), list(state.to_come)
+        self._attempts = dict(state.attempts)
+        self.longest_s = SPARE_S + sum(_longest_s(task) for task in self.tasks)
+
+    def make(self, index: int) -> Task:
+        """A task of the agenda, ready to be started; one that has failed as it is tried again."""
+        spec = self.tasks[index]
+        return make_task(spec.again() if index in self._attempts else spec, task_seed(self._seed, index))
 
 
 def _longest_s(task: TaskSpec) -> float:

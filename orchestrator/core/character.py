@@ -71,7 +71,7 @@ class CharacterSession:
         self.character_id = character_id
         self.spec = spec
         self.events = events
-        self.status: Status = "running"
+        self._status: Status = "running"
         self.reason: str | None = None
         self._services = services
         self._session = Session(character_id, spec, services, events)
@@ -82,6 +82,11 @@ class CharacterSession:
         self._refusals = 0
         self._down = Down()
         self._was_down = False
+
+    @property
+    def status(self) -> Status:
+        """`degraded` also while its tracker is looked for."""
+        return "degraded" if self._status == "running" and self._session.lost is not None else self._status
 
     @property
     def state(self) -> StateFrame:
@@ -113,6 +118,7 @@ class CharacterSession:
         state = await self._session.start()
         if self.spec.pacing == "realtime":
             self._run_on()
+        await self._session.keep_if_due()
         self.events.emit("created", state.tick, scene=name_of(self.spec.scene), pacing=self.spec.pacing)
         return state
 
@@ -200,7 +206,7 @@ class CharacterSession:
             state = await self._session.reset()
             self._source = SteppedGoal(STAND, state.tick)
         if self.status == "failed":
-            self.status, self.reason, self._refusals = "running", None, 0
+            self._status, self.reason, self._refusals = "running", None, 0
             if self.spec.pacing == "realtime":
                 self._run_on()
         return self.state
@@ -211,7 +217,7 @@ class CharacterSession:
         if self.spec.pacing != "realtime":
             raise ConflictError("only a realtime character can be paused", field="pacing", allowed="realtime")
         self._session.show(await self.loop.ask_tracker(StateFrame, SetPacing(pacing="realtime", paused=paused)))
-        self.status = "paused" if paused else "running"
+        self._status = "paused" if paused else "running"
         self.events.emit("paused" if paused else "resumed", self.state.tick)
         return self.state
 
@@ -219,7 +225,8 @@ class CharacterSession:
         """End it, at the tracker too (which may be gone already)."""
         if self.status == "closed":
             return
-        self.status = "closed"
+        self._status = "closed"
+        self._session.give_up()
         if self._runner is not None:
             self._runner.cancel()
             with contextlib.suppress(asyncio.CancelledError):
@@ -260,6 +267,7 @@ class CharacterSession:
         self._refusals = 0 if cycle.plans else self._refusals
         self._take(cycle, was_fallen)
         await self._after_fall(cycle.state)
+        await self._session.keep_if_due()
 
     async def _after_fall(self, state: StateFrame) -> None:
         """See that a character goes on after a fall, as it was made to."""
@@ -289,15 +297,15 @@ class CharacterSession:
             self.events.emit("fallen", cycle.state.tick)
         if cycle.state.failure is not None:
             self.events.emit("physics_failed", cycle.state.tick, reason=cycle.state.failure)
-        if cycle.planner_error is not None and self.status == "running":
-            self.status, self.reason = "degraded", cycle.planner_error
+        if cycle.planner_error is not None and self._status == "running":
+            self._status, self.reason = "degraded", cycle.planner_error
             self.events.emit("degraded", cycle.state.tick, reason=cycle.planner_error)
-        elif cycle.planner_error is None and self.status == "degraded":
-            self.status, self.reason = "running", None
+        elif cycle.planner_error is None and self._status == "degraded":
+            self._status, self.reason = "running", None
             self.events.emit("recovered", cycle.state.tick)
 
     def _fail(self, reason: str) -> None:
-        self.status, self.reason = "failed", reason
+        self._status, self.reason = "failed", reason
         if self._session.created:
             self._session.show(self.state.model_copy())  # once more, with the status that it has now
         self.events.emit("failed", self._session.tick, reason=reason)

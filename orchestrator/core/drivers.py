@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from orchestrator.core.keepsake import Pace
 from orchestrator.core.lead import PlanLead
 from orchestrator.core.loop import CharacterLoop, GoalSource, PlanTiming, timing_of, view_of
 from orchestrator.core.pacing import PlanPacer
@@ -45,8 +46,22 @@ class Driver(Protocol):
         """A command changed: do not wait for the replan period."""
         ...
 
+    @property
+    def by_clock(self) -> bool:
+        """Whether the tracker's clock drives the character, and not `cycle`."""
+        ...
+
     async def drop_plan(self) -> None:
         """The body was put somewhere else: what is being planned for it says nothing any more. Plan anew."""
+        ...
+
+    def pace(self) -> Pace:
+        """Where it is, for `go_on`."""
+        ...
+
+    async def go_on(self, state: StateFrame, pace: Pace, seen_tick: int) -> None:
+        """The character is found again as `state`: go on as at the time of `pace`; what was seen of it ends at
+        `seen_tick`."""
         ...
 
     async def close(self) -> None:
@@ -59,17 +74,17 @@ class _BadPlans:
     on then and the next has another prefix and seed. Too many are an error."""
 
     def __init__(self) -> None:
-        self._count = 0
+        self.in_a_row = 0
 
     def count(self, error: SimulationError) -> None:
         """One more; raises it when it is one too many."""
-        self._count += 1
-        if self._count > BAD_PLANS_IN_A_ROW:
+        self.in_a_row += 1
+        if self.in_a_row > BAD_PLANS_IN_A_ROW:
             raise error
 
     def clear(self) -> None:
         """A good one came."""
-        self._count = 0
+        self.in_a_row = 0
 
 
 def _unavailable(error: MotionLoopError) -> bool:
@@ -77,12 +92,8 @@ def _unavailable(error: MotionLoopError) -> bool:
     return isinstance(error, TransportError) or error.retryable
 
 
-class LockstepDriver:
-    """Plan, wait for it, advance by the replan period. The same seed gives the same log.
-
-    While the planner is away the physics goes on at the pace of the wall clock, on the tracker's standing extension,
-    so that an outage costs simulated time and not thousands of ticks.
-    """
+class _Paced:
+    """What both drivers keep of plans in time: when the next is due, the one in force, and bad ones in a row."""
 
     def __init__(self, loop: CharacterLoop, start: StateFrame):
         self._loop = loop
@@ -93,8 +104,33 @@ class LockstepDriver:
         self._bad = _BadPlans()
 
     def replan_now(self) -> None:
-        """Plan at the next tick that is a frame of the planner."""
+        """Plan as soon as may be: at the next tick that is a frame of the planner, or when the plan under way has
+        landed."""
         self._next_plan_tick = self._state.tick
+
+    def pace(self) -> Pace:
+        """When the next plan is due, the plan in force, and those that came early or were bad."""
+        entered, early = self._pacer.remembered()
+        return Pace(next_plan_tick=self._next_plan_tick, entered=entered, early=early, bad_plans=self._bad.in_a_row)
+
+    def _set(self, state: StateFrame, pace: Pace, seen_tick: int) -> None:
+        self._state, self._seen, self._next_plan_tick = state, seen_tick, pace.next_plan_tick
+        self._pacer.remember(pace.entered, pace.early)
+        self._bad.in_a_row = pace.bad_plans
+
+
+class LockstepDriver(_Paced):
+    """Plan, wait for it, advance by the replan period. The same seed gives the same log.
+
+    While the planner is away the physics goes on at the pace of the wall clock, on the tracker's standing extension,
+    so that an outage costs simulated time and not thousands of ticks.
+    """
+
+    by_clock = False
+
+    async def go_on(self, state: StateFrame, pace: Pace, seen_tick: int) -> None:
+        """Nothing is under way between cycles: as it was then, and so the same log comes."""
+        self._set(state, pace, seen_tick)
 
     async def drop_plan(self) -> None:
         """Nothing is under way between cycles: plan anew."""
@@ -111,7 +147,7 @@ class LockstepDriver:
         plans: list[PlanTiming] = []
         trouble: str | None = None
         if tick >= self._next_plan_tick and tick % spacing == 0:
-            lead = settings.plan_lead_ticks if self._loop.last_plan is not None else 0
+            lead = settings.plan_lead_ticks if self._loop.has_plan else 0
             start_tick = self._pacer.start_tick(tick, lead, self._loop.planner_spec().fps)
             began = time.perf_counter()
             period = settings.replan_ticks
@@ -155,7 +191,7 @@ class _Request:
     began_s: float = field(default_factory=time.perf_counter)
 
 
-class RealtimeDriver:
+class RealtimeDriver(_Paced):
     """The tracker's clock runs; plans are requested as far ahead as `PlanLead` says and handed over when they come.
 
     A cycle is one look at the character (`poll_s`, sooner when a plan comes): it never waits for the planner. One plan
@@ -163,23 +199,22 @@ class RealtimeDriver:
     commands which come faster than plans are made steer and do not starve; of several, the newest is planned for.
     """
 
+    by_clock = True
+
     def __init__(self, loop: CharacterLoop, start: StateFrame, poll_s: float = 0.033):
-        self._loop = loop
-        self._state = start
-        self._seen = start.tick
-        self._next_plan_tick = start.tick
-        self._pacer = PlanPacer(loop.settings.least_ticks)
+        super().__init__(loop, start)
         self._poll_s = poll_s
         self._look_at_s = time.monotonic()
         self._request: _Request | None = None
         self._retry_at_s = 0.0
         self._lead = PlanLead(loop.settings.plan_lead_ticks)
         self._trouble: str | None = None
-        self._bad = _BadPlans()
 
-    def replan_now(self) -> None:
-        """Request at the next look, or as soon as the plan under way has landed."""
-        self._next_plan_tick = self._state.tick
+    async def go_on(self, state: StateFrame, pace: Pace, seen_tick: int) -> None:
+        """The plan under way was made for a body that is somewhere else now: another is asked for at once."""
+        await self.close()
+        self._set(state, pace, seen_tick)
+        self.replan_now()
 
     async def drop_plan(self) -> None:
         """Throw away the plan under way, and plan anew."""

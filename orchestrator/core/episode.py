@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, replace
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from orchestrator.core.agenda import Agenda
 from orchestrator.core.drivers import Cycle
 from orchestrator.core.events import EventLog
+from orchestrator.core.keepsake import EpisodeState, Keepsake, MachineView
 from orchestrator.core.loop import view_of
 from orchestrator.core.machine import (
     Action,
@@ -22,6 +23,7 @@ from orchestrator.core.machine import (
     with_limit,
 )
 from orchestrator.core.on_fall import Down, OnFall, get_up_goal
+from orchestrator.core.performing import Performing
 from orchestrator.core.scenes import SceneChoice
 from orchestrator.core.services import Services
 from orchestrator.core.session import Session
@@ -31,9 +33,8 @@ from shared.protocol.base import Name
 from shared.protocol.messages import TICK_HZ, Pacing, Seed, SetObject, StateFrame
 from shared.protocol.rest import TaskResult
 from shared.tasks.factory import TaskSpec
-from shared.tasks.growing import GrowingTrace
-from shared.tasks.interface import BodyView, PlanGoal, Task, Trace, Verdict
-from shared.tasks.rules import SAFE_TICKS, leaning, with_falls
+from shared.tasks.interface import BodyView, PlanGoal, Trace, Verdict
+from shared.tasks.rules import SAFE_TICKS
 from shared.tasks.specs import TimeLimit
 from shared.text.wording import STAND_TEXT
 
@@ -82,34 +83,6 @@ class EpisodeOutcome(BaseModel):
     missed_ticks: int
 
 
-@dataclass
-class _Running:
-    """The task being performed."""
-
-    index: int
-    task: Task
-    begin_tick: int
-    seen: GrowingTrace
-
-    def add(self, trace: Trace) -> None:
-        self.seen.add(trace)
-
-    def trace(self) -> Trace:
-        """Everything since the task began; a body on the floor has fallen, unless the task may want it there."""
-        trace = self.seen.trace()
-        return with_falls(trace) if self.task.upright else trace
-
-    @property
-    def leaning(self) -> bool:
-        """Whether it cannot be said yet that the body stayed up."""
-        return (
-            self.task.posture == "upright"
-            and self.task.upright
-            and len(self.seen) > 0
-            and leaning(self.seen.trace().pos_w_m[-1])
-        )
-
-
 class EpisodeRunner:
     """Runs one episode to its end, whatever happens on the way; `run` never hangs, since every wait has a deadline.
 
@@ -135,10 +108,12 @@ class EpisodeRunner:
         self.results: list[TaskResult] = []
         self.tick = 0
         self.session = Session(episode_id, spec, services, events, spec.heading_rad)
+        self.session.on_rewind = self._rewind
         self._on_cycle = on_cycle
         self._agenda = Agenda(spec.tasks, spec.order, spec.seed)
         self._machine = MachineState()
-        self._running: _Running | None = None
+        self._running: Performing | None = None
+        self._resume_from: Keepsake | None = None
         self._skipped = False
         self._down = Down()
         self._cancelled = False
@@ -154,6 +129,7 @@ class EpisodeRunner:
     def cancel(self) -> None:
         """End the episode at the next cycle."""
         self._cancelled = True
+        self.session.give_up()
 
     def skip(self) -> int:
         """End the task being performed as failed and go on with the next; returns its index.
@@ -174,21 +150,61 @@ class EpisodeRunner:
         self.events.emit("task_inserted", self.tick, index=index, place=place, task=task.model_dump(mode="json"))
         return index
 
+    def remembered(self) -> EpisodeState:
+        """Where it is, for `take_up`."""
+        return EpisodeState(
+            machine=MachineView(**asdict(self._machine)),
+            agenda=self._agenda.remembered(),
+            results=list(self.results),
+            performing=None if self._running is None else self._running.state(),
+            down=self._down.is_so,
+            missed_ticks=self._missed,
+            last_report=self._last_report,
+        )
+
+    def take_up(self, state: EpisodeState, kept: Keepsake, trace: Trace) -> None:
+        """Let `run` go on with an episode of an earlier process, instead of beginning one.
+
+        Args:
+            state, kept: as that process wrote them.
+            trace: what had happened by then, from tick 0.
+        """
+        self.tick, self._missed, self._last_report = kept.tick, state.missed_ticks, state.last_report
+        self._machine = MachineState(**state.machine.model_dump())
+        self._agenda.remember(state.agenda)
+        self.results, self._down.is_so = list(state.results), state.down
+        if (doing := state.performing) is not None:
+            task, scene = self._agenda.make(doing.index), self.session.choose_scene()
+            since = trace.since(doing.begin_tick)
+            self._running = Performing.again(doing, task, since, self.spec.character, scene)
+        self._resume_from = kept
+
     async def run(self) -> EpisodeOutcome:
         """Create the character, perform the tasks, say how it went. Never raises for what services do."""
         try:
-            await self._fire(Signal.START, await self.session.start())
+            if self._resume_from is None:
+                await self._fire(Signal.START, await self.session.start())
+                await self.session.keep_if_due()
+            else:
+                await self.session.take_up(self._resume_from)
+                self.events.emit("resumed", self._resume_from.tick, phase=self._machine.phase)
             while not self._machine.over:
                 await self._turn()
         except (TransportError, NotFoundError) as error:
-            self._reason = f"the tracker is gone: {error.message}"
-            await self._fire(Signal.TRACKER_LOST, None)
+            self._reason = "cancelled" if self._cancelled else f"the tracker is gone: {error.message}"
+            await self._fire(Signal.CANCEL if self._cancelled else Signal.TRACKER_LOST, None)
         except MotionLoopError as error:
             self._reason = error.message
             await self._fire(Signal.TRACKER_LOST, None)
         finally:
             await self.session.stop()
         return self._outcome()
+
+    def _rewind(self, tick: int) -> None:
+        """The character was put back to `tick`: what was seen of it after that has not happened."""
+        self.tick = tick
+        if self._running is not None:
+            self._running.forget_after(tick)
 
     async def _turn(self) -> None:
         cycle = await self.session.cycle(self._goal)
@@ -204,6 +220,7 @@ class EpisodeRunner:
         signal = self._signal(cycle)
         if signal is not None:
             await self._fire(signal, state)
+        await self.session.keep_if_due()
 
     def _signal(self, cycle: Cycle) -> Signal | None:
         """The most important thing that the cycle showed."""
@@ -284,11 +301,11 @@ class EpisodeRunner:
                 name=name, position_w_m=(x, y, z), quat_w=(quat[0], quat[1], quat[2], quat[3]),
                 linvel_w_mps=still, angvel_w_radps=still,
             )  # fmt: skip
-            state = await self.session.loop.ask_tracker(StateFrame, move)
+            state = await self.session.ask(StateFrame, move)
             view = replace(view_of(state), scene=self.session.scene)
             self.events.emit("object_set", state.tick, name=name)
         task.start(view)
-        self._running = _Running(index, task, state.tick, GrowingTrace(state.tick + 1))
+        self._running = Performing(index, task, state.tick)
         self.session.replan_now()
         self.events.emit("task_begin", state.tick, index=index, task=task.kind, label=task.label)
 
@@ -344,7 +361,7 @@ class EpisodeRunner:
 
     def _goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
         if self._running is not None:
-            return self._running.task.goal(view, plan_tick)
+            return self._running.goal(view, plan_tick)
         down = self.spec.on_fall == "get_up" and self._down.update(view)
         return get_up_goal() if down else PlanGoal(text=STAND_TEXT)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from typing import Any
 
 from shared.protocol.rest import Event
@@ -19,13 +19,14 @@ class EventLog:
 
     Args:
         sink: called with every event (the store); must not block for long.
+        earlier: events of a life before, which are not told to the sink again.
     """
 
-    def __init__(self, sink: Callable[[Event], None] | None = None):
-        self._events: deque[Event] = deque(maxlen=KEPT_EVENTS)
+    def __init__(self, sink: Callable[[Event], None] | None = None, earlier: Sequence[Event] = ()):
+        self._events: deque[Event] = deque(earlier, maxlen=KEPT_EVENTS)
         self._sink = sink
         self._listeners: set[asyncio.Queue[Event | None]] = set()
-        self._seq = 0
+        self._seq = earlier[-1].seq if earlier else 0
         self.closed = False
 
     def emit(self, type: str, tick: int, /, **data: Any) -> Event:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from orchestrator.core.asking import keyframe_arrays, obstacle_arrays
 from orchestrator.core.chain import chained, following
-from orchestrator.core.services import Reply, Services, Slot
+from orchestrator.core.home import Home
+from orchestrator.core.keepsake import LoopState
+from orchestrator.core.services import Reply, Services
 from orchestrator.core.settings import LoopSettings
 from orchestrator.core.stitch import PlanBuffer, build_prefix, log_window, since
-from shared.errors import InvalidInputError, MalformedMessageError, MotionLoopError, UnavailableError
+from shared.errors import InvalidInputError, MalformedMessageError, UnavailableError
 from shared.motion.characters import build
 from shared.motion.ik import clip_from_positions
 from shared.motion.resampling import finite_velocity
@@ -22,23 +25,17 @@ from shared.motion.skeleton import CANONICAL
 from shared.plugins.checks import planner_spec
 from shared.plugins.interfaces import PlannerSpec
 from shared.protocol.base import Message
-from shared.protocol.control import Ok
 from shared.protocol.messages import (
     PLANNER_FPS,
     TICK_HZ,
-    CloseCharacter,
     GetTicks,
     Look,
     Observe,
     Plan,
     PlanRequest,
     ResetCharacter,
-    Restore,
-    SetTracker,
-    Snapshot,
     StateFrame,
     Step,
-    TakeSnapshot,
     TickRange,
     Track,
     TrackReply,
@@ -114,17 +111,22 @@ def view_of(state: StateFrame) -> BodyView:
 
 def trace_of(ticks: TickRange) -> Trace:
     """A range of the log at 30 Hz as tasks see it."""
+    return trace_from(ticks.start_tick, vars(ticks), ticks.objects)
+
+
+def trace_from(start_tick: int, arrays: Mapping[str, Any], objects: Sequence[str]) -> Trace:
+    """The same from the arrays of a `TickRange`, by name."""
     world = World(
-        tuple(ticks.objects),
-        np.asarray(ticks.object_pose_w, dtype=np.float64),
-        np.asarray(ticks.object_vel_w, dtype=np.float64),
-        np.asarray(ticks.contact_sample),
-        np.asarray(ticks.contact_body),
-        np.asarray(ticks.contact_object),
-        np.asarray(ticks.contact_impulse_ns, dtype=np.float64),
+        tuple(objects),
+        np.asarray(arrays["object_pose_w"], dtype=np.float64),
+        np.asarray(arrays["object_vel_w"], dtype=np.float64),
+        np.asarray(arrays["contact_sample"]),
+        np.asarray(arrays["contact_body"]),
+        np.asarray(arrays["contact_object"]),
+        np.asarray(arrays["contact_impulse_ns"], dtype=np.float64),
     )
-    positions, fallen = np.asarray(ticks.body_pos_w_m, dtype=np.float64), np.asarray(ticks.fallen, dtype=bool)
-    return Trace(ticks.start_tick, positions, fallen, world)
+    positions, fallen = np.asarray(arrays["body_pos_w_m"], dtype=np.float64), np.asarray(arrays["fallen"], dtype=bool)
+    return Trace(start_tick, positions, fallen, world)
 
 
 class CharacterLoop:
@@ -148,9 +150,8 @@ class CharacterLoop:
         self.settings = settings
         self.planner = planner
         self._services = services
-        self._tracker = services.tracker
+        self.home = Home(character_id, services, settings.tracker_timeout_s)
         self._planner_slot = services.planner
-        self._refused: Slot | None = None
         self._seed = seed
         self._buffer = PlanBuffer()
         self._since_tick = 0
@@ -160,20 +161,44 @@ class CharacterLoop:
         self.trace_id: str | None = None
         """Of the newest command's request: goes along with the plans made for it."""
         self.last_plan: Plan | None = None
-        self._swap_error: str | None = None
+        self.has_plan = False
+        """Whether the tracker follows a plan of ours."""
 
     async def reset(self, position_w_m: tuple[float, float] | None = None) -> StateFrame:
         """Stand the character up, where it is or at a place. What was planned and done before says nothing about it any
         more."""
         state = await self.ask_tracker(StateFrame, ResetCharacter(position_w_m=position_w_m))
         self._buffer.clear()
-        self.last_plan = None
+        self.last_plan, self.has_plan = None, False
         self._since_tick = state.tick
         return state
 
+    def remembered(self) -> tuple[LoopState, npt.NDArray[np.float64]]:
+        """What it knows and what is planned, for `remember`."""
+        buffer = self._buffer
+        known = LoopState(
+            endpoint=self.home.slot.endpoint,
+            planner=self.planner,
+            plans_made=self.plans_made,
+            since_tick=self._since_tick,
+            may_be_low=self._may_be_low,
+            has_plan=self.has_plan,
+            fps=buffer.fps,
+            first_frame=buffer.first_frame,
+        )
+        return known, buffer.held()
+
+    def remember(self, known: LoopState, planned_w_m: npt.NDArray[np.float64]) -> None:
+        """Go on as the loop was: the character was put back to that moment."""
+        self.planner, self.plans_made = known.planner, known.plans_made
+        self._since_tick, self._may_be_low, self.has_plan = known.since_tick, known.may_be_low, known.has_plan
+        self._buffer = PlanBuffer(known.fps)
+        if len(planned_w_m):
+            self._buffer.put(known.first_frame, planned_w_m)
+
     async def ask_tracker(self, kind: type[Reply], message: Message, timeout_s: float | None = None) -> Reply:
         """The reply of the tracker that the character lives at, by default within the tracker's time-out."""
-        reply = await self._tracker.ask(kind, message, self.character_id, timeout_s or self.settings.tracker_timeout_s)
+        reply = await self.home.ask(kind, message, timeout_s)
         if isinstance(reply, StateFrame):
             self._build = build(reply.character)
         return reply
@@ -249,7 +274,7 @@ class CharacterLoop:
 
     async def track(self, plan: Plan) -> TrackReply:
         """Hand a plan to the tracker; an accepted one enters the buffer, the old one ends where it starts."""
-        await self._follow_swaps()
+        await self.home.follow_swaps()
         track = Track(
             start_tick=plan.start_tick,
             fps=plan.fps,
@@ -266,37 +291,8 @@ class CharacterLoop:
             if plan.fps != self._buffer.fps:
                 self._buffer = self._buffer.at_rate(plan.fps)
             self._buffer.put(frame_of_tick(plan.start_tick, plan.fps) + 1, plan.positions_w_m)
-            self.last_plan = plan
+            self.last_plan, self.has_plan = plan, True
         return reply
-
-    def take_swap_error(self) -> str | None:
-        """Why the character could not go over to the tracker that was swapped in; told once."""
-        error, self._swap_error = self._swap_error, None
-        return error
-
-    async def _follow_swaps(self) -> None:
-        """At a plan boundary: if another tracker was put in the slot, let it drive; move there if it is elsewhere.
-
-        A move that fails leaves the character where it is; `take_swap_error` tells why.
-        """
-        old, new = self._tracker, self._services.tracker
-        if new is old or new is self._refused:
-            return
-        try:
-            if new.endpoint != old.endpoint:
-                state = await self.ask_tracker(Snapshot, TakeSnapshot())
-                restore = Restore(tick=state.tick, meta=state.meta, state=state.state, buffers=state.buffers)
-                await new.ask(StateFrame, restore, self.character_id, self.settings.tracker_timeout_s)
-            await new.ask(
-                Ok, SetTracker(tracker=new.plugin_name), self.character_id, self.settings.tracker_timeout_s
-            )  # fmt: skip
-        except MotionLoopError as error:
-            self._refused, self._swap_error = new, error.message
-            return
-        self._tracker, self._swap_error = new, None
-        if new.endpoint != old.endpoint:
-            with contextlib.suppress(MotionLoopError):  # the old service may be on its way out
-                await old.ask(Ok, CloseCharacter(), self.character_id, self.settings.tracker_timeout_s)
 
     async def _request(self, spec: PlannerSpec, goal: PlanGoal, now_tick: int, start_tick: int) -> PlanRequest:
         if self._buffer.fps != spec.fps:

@@ -5,24 +5,25 @@ from __future__ import annotations
 import asyncio
 import logging
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from orchestrator.core.character import CharacterSession, CharacterSpec
-from orchestrator.core.drivers import Cycle
 from orchestrator.core.episode import EpisodeOutcome, EpisodeRunner, EpisodeSpec
 from orchestrator.core.events import EventLog
+from orchestrator.core.loop import trace_from
 from orchestrator.core.services import Services, Slot
 from orchestrator.core.swap import check_drives, check_spec, swap
+from orchestrator.core.tape import Tape
 from orchestrator.store.interface import Store, StoreReader
-from orchestrator.store.recordings import Recording, RecordingFiles, write_atomically
+from orchestrator.store.recordings import RecordingFiles, write_atomically
+from orchestrator.store.resume import from_bytes
 from shared.errors import ConflictError, InvalidInputError, MotionLoopError, NotFoundError, OverloadedError
 from shared.motion.characters import build
 from shared.protocol.control import Ok
 from shared.protocol.messages import CloseCharacter, Render, Video
-from shared.protocol.rates import TICK_HZ
 from shared.protocol.rest import Event
 from shared.protocol.security import CurveKeys
 from shared.protocol.transport import Kind
@@ -30,19 +31,22 @@ from shared.scenes.schema import Scene
 
 log = logging.getLogger(__name__)
 
-PART_TICKS = 600
 KEPT_FOR_VIDEO = 8
+OUTCOME_PATIENCE_S = 5.0
+DISK_RETRY_S = 1.0
 RENDER_TIMEOUT_S = 900.0
 
 
 class LiveEpisode:
     """An episode that runs, or has just ended and whose character is still there to be filmed."""
 
-    def __init__(self, runner: EpisodeRunner):
+    def __init__(self, runner: EpisodeRunner, tape: Tape):
         self.runner = runner
+        self.tape = tape
         self.outcome: EpisodeOutcome | None = None
         self.task: asyncio.Task[None] | None = None
-        self.recorded_to = 0
+        self.written = False
+        """Whether its recording is the one file that it should be."""
 
 
 class Orchestrator:
@@ -69,24 +73,45 @@ class Orchestrator:
         self._retired: list[Slot] = []
         self._video_lock = asyncio.Lock()
 
-    def recover(self) -> list[str]:
-        """After a start: mark what a killed process left running, and join the recordings it left in parts."""
-        interrupted = self.store.mark_interrupted()
-        for episode_id in self.files.unfinished():
-            self.files.finish(episode_id)
+    async def recover(self) -> list[str]:
+        """After a start: take up the episodes that an earlier process left running; those that cannot be are marked as
+        interrupted. Recordings left in parts are joined. Returns the interrupted ones."""
+        episodes, characters = await asyncio.to_thread(self.store.left_running)
+        interrupted = [episode_id for episode_id in episodes if not await self._take_up(episode_id)]
+        await asyncio.to_thread(self.store.mark_interrupted, interrupted, characters)
+        for episode_id in await asyncio.to_thread(self.files.unfinished):
+            if episode_id not in self.episodes:
+                await asyncio.to_thread(self.files.finish, episode_id)
+        over, _ = await self.reader.episodes(None, 2 * KEPT_FOR_VIDEO, 0)
+        filmed = [str(row["id"]) for row in over if row["id"] not in self.episodes]
+        for character_id in {*interrupted, *characters, *filmed}:
+            self.services.leave_all_behind(character_id)
         return interrupted
 
+    async def _take_up(self, episode_id: str) -> bool:
+        """Go on with an episode of an earlier process; False where what that needs is not there."""
+        try:
+            data = await asyncio.to_thread(self.files.resume, episode_id)
+            if data is None:
+                return False
+            kept, state = await asyncio.to_thread(from_bytes, data)
+            spec = EpisodeSpec.model_validate((await self.reader.episode(episode_id))["spec"])
+            recorded = await asyncio.to_thread(self.files.recorded, episode_id, kept.tick)
+            live = self._live(episode_id, spec, await self.reader.events(episode_id), kept.tick + 1)
+            live.runner.take_up(state, kept, trace_from(0, recorded.arrays, recorded.objects))
+        except (MotionLoopError, OSError, ValueError, KeyError) as error:
+            log.warning("episode %s cannot be taken up: %s", episode_id, error)
+            self.episodes.pop(episode_id, None)
+            return False
+        self._begin(live)
+        return True
+
     async def close(self) -> None:
-        """End everything: episodes are cancelled, characters closed, the store written."""
-        live = list(self.episodes.values())
-        for episode in live:
-            episode.runner.cancel()
-        tasks = [episode.task for episode in live if episode.task is not None]
-        if tasks:
-            _, late = await asyncio.wait(tasks, timeout=10.0)
-            for task in late:
-                task.cancel()
-            await asyncio.gather(*late, return_exceptions=True)
+        """End everything: episodes are left to the next server, characters closed, the store written."""
+        tasks = [episode.task for episode in self.episodes.values() if episode.task is not None]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
         for character in list(self.characters.values()):
             await character.close()
             self.store.character_ended(character.character_id, "closed")
@@ -136,13 +161,9 @@ class Orchestrator:
         for task in spec.tasks:
             task.check(scene)
         episode_id = str(uuid.uuid4())
-        events = EventLog(self._sink(episode_id))
-        live: LiveEpisode
-        runner = EpisodeRunner(episode_id, spec, self.services, events, lambda cycle: self._after_cycle(live, cycle))
-        live = LiveEpisode(runner)
-        self.episodes[episode_id] = live
+        live = self._live(episode_id, spec)
         self.store.episode_started(episode_id, spec, self.service_report())
-        live.task = asyncio.create_task(self._run(live), name=f"episode-{episode_id}")
+        self._begin(live)
         return episode_id
 
     def live_episode(self, episode_id: str) -> LiveEpisode | None:
@@ -190,7 +211,9 @@ class Orchestrator:
             if live.outcome is None:
                 raise ConflictError("the episode is still running", field="id")
             captions = [(r.start_tick, r.label) for r in live.outcome.results]
-            request = Render(start_tick=0, stop_tick=live.runner.tick or None, captions=captions)
+            request = Render(
+                start_tick=live.runner.session.log_from_tick, stop_tick=live.runner.tick or None, captions=captions
+            )
             video = await live.runner.session.loop.ask_tracker(Video, request, RENDER_TIMEOUT_S)
             live.runner.events.emit("video", live.runner.tick, renderer=video.renderer, note=video.note)
             data = np.asarray(video.mp4, dtype=np.uint8).tobytes()
@@ -261,49 +284,48 @@ class Orchestrator:
         check_spec(self.services.planner)
         check_drives(self.services.tracker, tracker, character)
 
+    def _live(
+        self, episode_id: str, spec: EpisodeSpec, earlier: Sequence[Event] = (), recorded_to: int = 0
+    ) -> LiveEpisode:
+        """An episode with its tape, not yet running."""
+        live: LiveEpisode
+        events = EventLog(self._sink(episode_id), earlier)
+        runner = EpisodeRunner(episode_id, spec, self.services, events, lambda cycle: live.tape.wind(cycle))
+        live = LiveEpisode(runner, Tape(runner, self.files, recorded_to))
+        self.episodes[episode_id] = live
+        return live
+
+    def _begin(self, live: LiveEpisode) -> None:
+        live.task = asyncio.create_task(self._run(live), name=f"episode-{live.runner.episode_id}")
+
     async def _run(self, live: LiveEpisode) -> None:
         runner = live.runner
         try:
             outcome = await runner.run()
+        except asyncio.CancelledError:  # the server ends: the next one takes the episode up
+            await live.tape.leave()
+            raise
         except Exception as error:  # a bug must not leave an episode that never ends
             log.exception("episode %s broke", runner.episode_id)
             outcome = EpisodeOutcome(
                 status="failed", reason=f"internal: {type(error).__name__}: {error}", success=False,
                 results=runner.results, ticks=runner.tick, plans=runner.session.loop.plans_made, missed_ticks=0,
             )  # fmt: skip
-        await self._record(live, runner.tick + 1)
-        try:
-            await asyncio.to_thread(self.files.finish, runner.episode_id)
-        except (OSError, ValueError, KeyError) as error:  # a full disk; the parts stay, to be joined at the next start
-            runner.events.emit("recording_failed", runner.tick, reason=str(error))
-        live.outcome = outcome
+        written = await live.tape.finish(runner.tick + 1)
         self.store.episode_ended(runner.episode_id, outcome)
+        await self.reader.written(OUTCOME_PATIENCE_S)  # who is told of the end may rely on it
+        live.outcome = outcome
         runner.events.emit("end", runner.tick, status=outcome.status, success=outcome.success, reason=outcome.reason)
         runner.events.close()
         runner.session.states.close()
-        over = [key for key, episode in self.episodes.items() if episode.outcome is not None]
+        while not written:
+            await asyncio.sleep(DISK_RETRY_S)
+            written = await live.tape.finish(runner.tick + 1)
+        await live.tape.drop()
+        live.written = True
+        over = [key for key, episode in self.episodes.items() if episode.written]
         for episode_id in over[:-KEPT_FOR_VIDEO]:
             await self._let_go(episode_id)
-
-    async def _after_cycle(self, live: LiveEpisode, cycle: Cycle) -> None:
-        if cycle.state.tick + 1 - live.recorded_to >= PART_TICKS:
-            await self._record(live, cycle.state.tick + 1)
-
-    async def _record(self, live: LiveEpisode, stop_tick: int) -> None:
-        """Fetch and keep the ticks up to `stop_tick`; what cannot be fetched or written now is tried again later."""
-        runner = live.runner
-        if not runner.session.created:
-            return
-        while live.recorded_to < stop_tick:
-            stop = min(live.recorded_to + PART_TICKS, stop_tick)
-            try:
-                part = await runner.session.loop.ticks(live.recorded_to, stop, TICK_HZ, reference=True)
-                recording = Recording.of(part, runner.spec.character, runner.session.scene)
-                await asyncio.to_thread(self.files.add_part, runner.episode_id, recording)
-            except (MotionLoopError, OSError) as error:
-                runner.events.emit("recording_failed", runner.tick, reason=str(error))
-                return
-            live.recorded_to = stop
 
     async def _let_go(self, episode_id: str) -> None:
         live = self.episodes.pop(episode_id)

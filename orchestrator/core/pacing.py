@@ -54,6 +54,16 @@ class PlanPacer:
             self._early.append(start_tick)
         self._last = _Entered(start_tick, period_ticks)
 
+    def remembered(self) -> tuple[tuple[int, int] | None, tuple[int, ...]]:
+        """Start and period of the plan in force, and the starts of early ones, for `remember`."""
+        last = self._last
+        return None if last is None else (last.start_tick, last.period_ticks), tuple(self._early)
+
+    def remember(self, entered: tuple[int, int] | None, early: tuple[int, ...]) -> None:
+        """Go on from what was in force."""
+        self._last = None if entered is None else _Entered(*entered)
+        self._early = deque(early, maxlen=EARLY_PLANS)
+
     def clear(self) -> None:
         """The body was put somewhere else: nothing is in force."""
         self._last = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -11,7 +12,8 @@ from orchestrator.core.scenes import Scenes
 from shared.errors import MotionLoopError, UnavailableError
 from shared.plugins.registry import current_name
 from shared.protocol.base import Message
-from shared.protocol.control import Health, HealthReport, Welcome
+from shared.protocol.control import Health, HealthReport, Ok, Welcome
+from shared.protocol.messages import CloseCharacter
 from shared.protocol.security import CurveKeys
 from shared.protocol.transport import AsyncServiceClient, Kind
 
@@ -21,6 +23,7 @@ PATIENCE_S = 2.0
 """After so long without a reply the service is asked whether it is alive."""
 HEALTH_S = 5.0
 """A service that does not say within this how it is counts as gone; a machine under load must not look like that."""
+LEFT_BEHIND_S = 600.0
 
 
 @dataclass(frozen=True)
@@ -52,9 +55,16 @@ class Slot:
         return next((dict(spec) for spec in self.present.plugins if spec.get("name") == name), {})
 
     async def ask(
-        self, kind: type[Reply], message: Message, character_id: str | None = None, timeout_s: float = 10.0
+        self,
+        kind: type[Reply],
+        message: Message,
+        character_id: str | None = None,
+        timeout_s: float = 10.0,
+        patience_s: float = PATIENCE_S,
+        health_s: float = HEALTH_S,
     ) -> Reply:
-        """The reply of type `kind`. A service that is gone is noticed after a few seconds, whatever the deadline.
+        """The reply of type `kind`. A service that is gone is noticed after a few seconds, whatever the deadline: after
+        `patience_s` without a reply it is asked how it is, and has `health_s` to say so.
 
         Raises:
             UnavailableError: it does not answer, not even a question for its health.
@@ -63,11 +73,11 @@ class Slot:
         task = asyncio.create_task(self.client.ask(message, kind, character_id, timeout_s=timeout_s))
         try:
             while True:
-                done, _ = await asyncio.wait({task}, timeout=PATIENCE_S)
+                done, _ = await asyncio.wait({task}, timeout=patience_s)
                 if done:
                     return task.result()
                 try:
-                    await self.client.ask(Health(), HealthReport, timeout_s=HEALTH_S)
+                    await self.client.ask(Health(), HealthReport, timeout_s=health_s)
                 except MotionLoopError as error:
                     if not task.done():
                         raise UnavailableError(f"the service at {self.endpoint} does not answer") from error
@@ -79,16 +89,59 @@ class Slot:
 
 @dataclass
 class Services:
-    """Planner, tracker and scenes. Loops look a slot up at every request, so that a swap shows at the next plan."""
+    """Planner, trackers and scenes. Loops look a slot up at every request, so that a swap shows at the next plan.
+
+    Attributes:
+        tracker: the first; its plug-ins are the ones that can be asked for, and it is the one that a swap exchanges.
+        spares: more trackers, which take characters in too.
+        rescue_s: how long a character whose tracker was lost is tried to be brought back, from what is kept of it at
+            each plan; 0 keeps nothing, and it has failed at once.
+        residents: where each character lives.
+    """
 
     planner: Slot
     tracker: Slot
     scenes: Scenes = field(default_factory=Scenes)
+    spares: Sequence[Slot] = ()
+    rescue_s: float = 0.0
+    residents: dict[str, Slot] = field(default_factory=dict)
+    _leaving: set[asyncio.Task[None]] = field(default_factory=set)
+
+    def place(self) -> Slot:
+        """The tracker for a new character: the one with the fewest, of equals the first."""
+        return min((self.tracker, *self.spares), key=self._load)
+
+    def others(self, slot: Slot) -> list[Slot]:
+        """The trackers but one, those with the fewest characters first."""
+        there = [each for each in (self.tracker, *self.spares) if each.endpoint != slot.endpoint]
+        return sorted(there, key=self._load)
+
+    def leave_behind(self, slot: Slot, character_id: str) -> None:
+        """End a character at a tracker that does not answer, once it does again: it lives elsewhere now."""
+        task = asyncio.create_task(_close_later(slot, character_id), name=f"left-behind-{character_id}")
+        self._leaving.add(task)
+        task.add_done_callback(self._leaving.discard)
+
+    def leave_all_behind(self, character_id: str) -> None:
+        """End a character of an earlier process, wherever it is."""
+        for slot in (self.tracker, *self.spares):
+            self.leave_behind(slot, character_id)
 
     async def close(self) -> None:
-        """Close both clients."""
-        await self.planner.client.close()
-        await self.tracker.client.close()
+        """Close all clients."""
+        for task in list(self._leaving):
+            task.cancel()
+        await asyncio.gather(*self._leaving, return_exceptions=True)
+        for slot in (self.planner, self.tracker, *self.spares):
+            await slot.client.close()
+
+    def _load(self, slot: Slot) -> int:
+        return sum(each is slot for each in self.residents.values())
+
+
+async def _close_later(slot: Slot, character_id: str) -> None:
+    with contextlib.suppress(MotionLoopError):
+        await slot.client.ask(CloseCharacter(), Ok, character_id, timeout_s=LEFT_BEHIND_S)
 
 
 async def connect(

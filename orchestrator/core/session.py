@@ -6,7 +6,8 @@ Whoever drives it brings a goal source, which is asked at every plan, and judges
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+import time
+from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import asdict
 from typing import Protocol
 
@@ -15,15 +16,30 @@ import numpy as np
 from orchestrator.core.drivers import Cycle, Driver, LockstepDriver, RealtimeDriver
 from orchestrator.core.events import EventLog
 from orchestrator.core.fanout import Fanout
+from orchestrator.core.keepsake import Keepsake
 from orchestrator.core.loop import CharacterLoop, GoalSource
 from orchestrator.core.scenes import SceneChoice
-from orchestrator.core.services import Services
+from orchestrator.core.services import Reply, Services
 from orchestrator.core.settings import LOCKSTEP, REALTIME, LoopSettings
-from shared.errors import ConflictError, MotionLoopError
+from shared.errors import ConflictError, MotionLoopError, NotFoundError, TransportError
+from shared.motion.skeleton import CANONICAL
+from shared.protocol.base import Message
 from shared.protocol.control import Ok
-from shared.protocol.messages import CloseCharacter, CreateCharacter, Pacing, StateFrame
+from shared.protocol.messages import (
+    CloseCharacter,
+    CreateCharacter,
+    Pacing,
+    SetPacing,
+    Snapshot,
+    StateFrame,
+    TakeSnapshot,
+)
 from shared.scenes.clearing import clear_of
 from shared.scenes.schema import Scene
+from shared.tasks.interface import Trace
+
+MOST_AHEAD_TICKS = 1800
+"""A character that went on by itself for longer than this is put back to what was kept of it."""
 
 ROOM_M = 0.35
 """A body that is put on its feet needs so much room round its pelvis."""
@@ -77,6 +93,13 @@ class Session:
         services: planner and tracker.
         events: where to say what happens.
         heading_rad: which way it faces at the start.
+
+    Attributes:
+        kept: what it would be brought back from; None where nothing is kept (`Services.rescue_s`).
+        lost: why its tracker is being looked for, or None.
+        log_from_tick: from when on the tracker has its log.
+        on_keep: called with what is about to be kept; where it raises a MotionLoopError the older one stays.
+        on_rewind: called with the tick to which the character was put back.
     """
 
     def __init__(
@@ -92,6 +115,13 @@ class Session:
         self._heading_rad = heading_rad
         self._state: StateFrame | None = None
         self._driver: Driver | None = None
+        self.kept: Keepsake | None = None
+        self.lost: str | None = None
+        self.log_from_tick = 0
+        self.on_keep: Callable[[Keepsake], Awaitable[None]] | None = None
+        self.on_rewind: Callable[[int], None] | None = None
+        self._given_up = False
+        self._keep_due = False
 
     @property
     def created(self) -> bool:
@@ -113,7 +143,7 @@ class Session:
     async def start(self) -> StateFrame:
         """Make it at the tracker."""
         choices, scenes = self._choices, self._services.scenes
-        self.scene = scenes.chosen(choices.scene, choices.seed)
+        self.choose_scene()
         request = CreateCharacter(
             character=choices.character,
             scene=scenes.for_tracker(choices.scene, choices.seed),
@@ -123,20 +153,66 @@ class Session:
             heading_rad=self._heading_rad,
         )
         self._state = await self.loop.ask_tracker(StateFrame, request)
-        driver = LockstepDriver if choices.pacing == "lockstep" else RealtimeDriver
-        self._driver = driver(self.loop, self._state)
+        self._driver = self._make_driver(self._state)
+        self._keep_due = True
         return self._state
 
+    def choose_scene(self) -> Scene | None:
+        """The scene as the seed makes it; None where only the tracker knows it."""
+        self.scene = self._services.scenes.chosen(self._choices.scene, self._choices.seed)
+        return self.scene
+
+    async def take_up(self, kept: Keepsake) -> StateFrame:
+        """Go on with a character that an earlier process left at a tracker, or kept, instead of making one.
+
+        By the clock it may have gone on meanwhile, which is no loss while it was not for long.
+        """
+        self.choose_scene()
+        by_clock = self._choices.pacing == "realtime"
+        self.loop.home.settle(kept.loop.endpoint)
+        state, rewound = await self.loop.home.find_again(
+            kept.snapshot, by_clock, self._services.rescue_s, lambda: self._given_up, MOST_AHEAD_TICKS
+        )
+        self._state, self.kept = state, kept
+        self._driver = self._make_driver(state)
+        self.loop.remember(kept.loop, kept.planned_w_m)
+        await self._driver.go_on(state, kept.pace, kept.tick)
+        if rewound:
+            self.log_from_tick = kept.first_logged_tick
+        return state
+
+    def _make_driver(self, state: StateFrame) -> Driver:
+        driver = LockstepDriver if self._choices.pacing == "lockstep" else RealtimeDriver
+        return driver(self.loop, state)
+
+    async def ask(self, kind: type[Reply], message: Message) -> Reply:
+        """The tracker's reply; where the tracker is lost, the reply of the one that the character was brought back at.
+
+        Raises as `CharacterLoop.ask_tracker`.
+        """
+        try:
+            return await self.loop.ask_tracker(kind, message)
+        except (TransportError, NotFoundError) as error:
+            await self._come_back(error)
+            return await self.loop.ask_tracker(kind, message)
+
     async def cycle(self, source: GoalSource, max_ticks: int | None = None) -> Cycle:
-        """Let it go on for a while under `source`; viewers and events are told. Raises as `Driver.cycle`."""
+        """Let it go on for a while under `source`; viewers and events are told.
+
+        Where its tracker is lost, the cycle is the one that brings it back. Raises as `Driver.cycle`.
+        """
         if self._driver is None:
             raise ConflictError("the character was not started")
-        cycle = await self._driver.cycle(source, max_ticks)
+        try:
+            cycle = await self._driver.cycle(source, max_ticks)
+        except (TransportError, NotFoundError) as error:
+            cycle = await self._come_back(error)
         self.show(cycle.state)
+        self._keep_due = self._keep_due or any(plan.accepted for plan in cycle.plans)
         for plan in cycle.plans:
             self.events.emit("plan", cycle.state.tick, **asdict(plan))
-        if (error := self.loop.take_swap_error()) is not None:
-            self.events.emit("swap_failed", cycle.state.tick, reason=error)
+        if (failed := self.loop.home.take_swap_error()) is not None:
+            self.events.emit("swap_failed", cycle.state.tick, reason=failed)
         return cycle
 
     def show(self, state: StateFrame) -> None:
@@ -149,11 +225,76 @@ class Session:
         if self._driver is not None:
             self._driver.replan_now()
 
+    def keep_soon(self) -> None:
+        """Let the next `keep_if_due` keep it."""
+        self._keep_due = True
+
+    async def keep_if_due(self) -> None:
+        """`keep`, once after each plan; called when all that a cycle has shown was acted on."""
+        if self._keep_due:
+            await self.keep()
+
+    async def keep(self) -> None:
+        """Keep what it can be brought back from. What cannot be had now is had later: the older one stays."""
+        self._keep_due = False
+        if self._driver is None or (self._services.rescue_s <= 0 and self.on_keep is None):
+            return
+        with contextlib.suppress(MotionLoopError):
+            snapshot = await self.loop.ask_tracker(Snapshot, TakeSnapshot())
+            known, planned_w_m = self.loop.remembered()
+            kept = Keepsake(snapshot, known, self._driver.pace(), planned_w_m)
+            if self.on_keep is not None:
+                await self.on_keep(kept)
+            self.kept = kept
+
+    def give_up(self) -> None:
+        """Do not look for a tracker that was lost any more."""
+        self._given_up = True
+
+    async def _come_back(self, error: MotionLoopError) -> Cycle:
+        """Look for the character, or bring it back from what was kept; raises `error` where that cannot be done."""
+        kept, driver, before = self.kept, self._driver, self.state
+        if kept is None or driver is None or self._services.rescue_s <= 0:
+            raise error
+        began_s, self.lost = time.monotonic(), error.message
+        self.events.emit("tracker_lost", self.tick, reason=error.message)
+        try:
+            state, rewound = await self.loop.home.find_again(
+                kept.snapshot, driver.by_clock, self._services.rescue_s, lambda: self._given_up
+            )
+            if before.paused and not state.paused:
+                state = await self.loop.ask_tracker(StateFrame, SetPacing(pacing=state.pacing, paused=True))
+        except MotionLoopError as last:
+            raise error from last
+        finally:
+            self.lost = None
+        if rewound:
+            self.loop.remember(kept.loop, kept.planned_w_m)
+            await driver.go_on(state, kept.pace, state.tick)
+            self.log_from_tick = max(self.log_from_tick, kept.first_logged_tick)
+            if self.on_rewind is not None:
+                self.on_rewind(state.tick)
+        self._state = state
+        self.events.emit(
+            "tracker_back",
+            state.tick,
+            endpoint=self.loop.home.slot.endpoint,
+            lost_ticks=max(before.tick - state.tick, 0),
+            seconds=round(time.monotonic() - began_s, 3),
+        )
+        nothing = Trace(state.tick + 1, np.zeros((0, len(CANONICAL), 3)), np.zeros(0, dtype=bool))
+        return Cycle(state, nothing)
+
     async def reset(self) -> StateFrame:
         """Put it on its feet where it is, or beside what stands there, and plan anew."""
-        self._state = await self.loop.reset(self._free_place())
+        try:
+            self._state = await self.loop.reset(self._free_place())
+        except (TransportError, NotFoundError) as error:
+            await self._come_back(error)
+            self._state = await self.loop.reset(self._free_place())
         if self._driver is not None:
             await self._driver.drop_plan()
+        self._keep_due = True
         self.events.emit("reset", self._state.tick)
         return self._state
 

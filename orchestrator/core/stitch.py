@@ -53,6 +53,10 @@ class PlanBuffer:
         """One past the last frame held; equal to `first_frame` while empty."""
         return self._first + len(self._positions)
 
+    def held(self) -> Array:
+        """All frames held, (T, J, 3), from `first_frame` on."""
+        return self._positions.copy()
+
     def clear(self) -> None:
         """Forget every plan (after a reset, or when the character was moved)."""
         self._first, self._positions = 0, np.zeros((0, 0, 3))

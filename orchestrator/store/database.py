@@ -106,20 +106,25 @@ class SqliteStore:
         self._put("DELETE FROM results WHERE episode = ?", (episode_id,))
         self._put("DELETE FROM episodes WHERE id = ?", (episode_id,))
 
-    def mark_interrupted(self) -> list[str]:
-        """On start: whatever was left running by a killed process is interrupted; returns those episodes."""
+    def left_running(self) -> tuple[list[str], list[str]]:
+        """On start: the episodes and the characters that a process which is no more was running."""
         self.flush()
         with self._reading() as connection:
-            ids = [row["id"] for row in connection.execute("SELECT id FROM episodes WHERE status = 'running'")]
-        reason = "the orchestrator was stopped in mid-episode"
+            episodes = [row["id"] for row in connection.execute("SELECT id FROM episodes WHERE status = 'running'")]
+            characters = [row["id"] for row in connection.execute("SELECT id FROM characters WHERE status = 'running'")]
+        return episodes, characters
+
+    def mark_interrupted(self, episodes: Sequence[str], characters: Sequence[str]) -> None:
+        """Those that do not go on are interrupted."""
         now = time.time()
-        self._put(
-            "UPDATE episodes SET status = 'interrupted', reason = ?, ended_s = ? WHERE status = 'running'",
-            (reason, now),
-        )
-        self._put("UPDATE characters SET status = 'interrupted', ended_s = ? WHERE status = 'running'", (now,))
+        for episode_id in episodes:
+            self._put(
+                "UPDATE episodes SET status = 'interrupted', reason = ?, ended_s = ? WHERE id = ?",
+                ("the orchestrator was stopped in mid-episode", now, episode_id),
+            )
+        for character_id in characters:
+            self.character_ended(character_id, "interrupted")
         self.flush()
-        return ids
 
     def flush(self, timeout_s: float = 10.0) -> bool:
         """Wait until everything queued so far is on disk; False when that took too long."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, ParamSpec, Protocol, TypeVar
@@ -58,8 +58,16 @@ class Store(Protocol):
         """Remove an episode and all that belongs to it."""
         ...
 
-    def mark_interrupted(self) -> list[str]:
-        """On start: whatever was left running by a killed process is interrupted; those episodes. May wait."""
+    def left_running(self) -> tuple[list[str], list[str]]:
+        """On start: the episodes and the characters that a process which is no more was running. May wait."""
+        ...
+
+    def mark_interrupted(self, episodes: Sequence[str], characters: Sequence[str]) -> None:
+        """Those that do not go on are interrupted. May wait."""
+        ...
+
+    def flush(self, timeout_s: float = 10.0) -> bool:
+        """Wait until all that was noted is on disk; False when that took too long."""
         ...
 
     def episode(self, episode_id: str) -> dict[str, Any]:
@@ -98,6 +106,10 @@ class StoreReader:
     async def events(self, owner: str, since: int = 0) -> list[Event]:
         """As `Store.events`."""
         return await self._ask(self._store.events, owner, since)
+
+    async def written(self, timeout_s: float) -> bool:
+        """As `Store.flush`."""
+        return await self._ask(self._store.flush, timeout_s)
 
     async def close(self) -> None:
         """Close the store, then the threads."""

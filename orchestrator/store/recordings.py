@@ -35,6 +35,9 @@ FIELDS = (
 )
 CONTACTS = ("contact_body", "contact_object", "contact_impulse_ns")
 """A row a contact, with the row of the tick it belongs to in `contact_sample` (shared.protocol.states)."""
+RESUME = "resume.state"
+LARGE_TICKS = 600
+"""Parts are gathered until they are so long."""
 
 
 @dataclass(frozen=True)
@@ -140,20 +143,53 @@ class RecordingFiles:
 
     def add_part(self, episode_id: str, recording: Recording) -> None:
         """Keep the next ticks of a running episode."""
-        parts = self._folder / f"{episode_id}.parts"
+        parts = self._parts(episode_id)
         parts.mkdir(exist_ok=True)
-        write_atomically(parts / f"{recording.start_tick:010d}.npz", to_npz(recording))
+        write_atomically(parts / _part_name(recording.start_tick, len(recording)), to_npz(recording))
 
-    def finish(self, episode_id: str) -> Path | None:
-        """Join the parts into the episode's one file (atomically) and drop them; None when nothing was recorded."""
-        folder = self._folder / f"{episode_id}.parts"
-        files = sorted(folder.glob("*.npz"))
-        if not files:
+    def add_resume(self, episode_id: str, data: bytes) -> None:
+        """Keep what a running episode is taken up from after a restart; then gather small parts into larger ones."""
+        self._parts(episode_id).mkdir(exist_ok=True)
+        write_atomically(self._parts(episode_id) / RESUME, data)
+        small = [(start, count) for start, count in self._spans(episode_id) if count < LARGE_TICKS]
+        if sum(count for _, count in small) >= LARGE_TICKS:
+            self._gather(episode_id, small)
+
+    def resume(self, episode_id: str) -> bytes | None:
+        """What `add_resume` has kept; None where nothing is."""
+        path = self._parts(episode_id) / RESUME
+        return path.read_bytes() if path.exists() else None
+
+    def recorded(self, episode_id: str, last_tick: int) -> Recording:
+        """The parts of an unfinished episode up to a tick at which one of them ends; those after it are dropped.
+
+        Raises NotFoundError where ticks are missing.
+        """
+        folder = self._parts(episode_id)
+        for start, count in self._spans(episode_id):
+            if start > last_tick:
+                (folder / _part_name(start, count)).unlink()
+        parts = self._read_parts(episode_id)
+        found = joined(parts) if parts else None
+        if found is None or found.start_tick != 0 or len(found) != last_tick + 1:
+            raise NotFoundError(f"not all of the ticks 0..{last_tick} of episode {episode_id} are there", field="id")
+        return found
+
+    def finish(self, episode_id: str, drop: bool = True) -> Path | None:
+        """Join the parts into the episode's one file (atomically) and drop them, unless told to leave them; None when
+        nothing was recorded."""
+        parts = self._read_parts(episode_id)
+        if not parts:
             return None
         path = self.path(episode_id)
-        write_atomically(path, to_npz(joined([from_npz(file) for file in files])))
-        shutil.rmtree(folder)
+        write_atomically(path, to_npz(joined(parts)))
+        if drop:
+            self.drop_parts(episode_id)
         return path
+
+    def drop_parts(self, episode_id: str) -> None:
+        """Remove what an unfinished episode is made whole from."""
+        shutil.rmtree(self._parts(episode_id), ignore_errors=True)
 
     def unfinished(self) -> list[str]:
         """Episodes whose parts were never joined (the process was killed)."""
@@ -173,3 +209,32 @@ class RecordingFiles:
                 shutil.rmtree(file)
             else:
                 file.unlink()
+
+    def _parts(self, episode_id: str) -> Path:
+        return self._folder / f"{episode_id}.parts"
+
+    def _spans(self, episode_id: str) -> list[tuple[int, int]]:
+        """First tick and number of ticks of the parts, in order; of those that begin together the longest first."""
+        names = (file.stem.partition("-") for file in self._parts(episode_id).glob("*.npz"))
+        return sorted(((int(start), int(count)) for start, _, count in names), key=lambda span: (span[0], -span[1]))
+
+    def _read_parts(self, episode_id: str) -> list[Recording]:
+        """The parts that follow one another; a kill while they were gathered leaves some that are in a larger one."""
+        out: list[Recording] = []
+        reached = 0
+        for start, count in self._spans(episode_id):
+            if start >= reached:
+                out.append(from_npz(self._parts(episode_id) / _part_name(start, count)))
+                reached = start + count
+        return out
+
+    def _gather(self, episode_id: str, spans: list[tuple[int, int]]) -> None:
+        files = [self._parts(episode_id) / _part_name(*span) for span in spans]
+        whole = joined([from_npz(file) for file in files])
+        write_atomically(self._parts(episode_id) / _part_name(whole.start_tick, len(whole)), to_npz(whole))
+        for file in files:
+            file.unlink()
+
+
+def _part_name(start_tick: int, ticks: int) -> str:
+    return f"{start_tick:010d}-{ticks}.npz"

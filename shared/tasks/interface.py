@@ -150,6 +150,12 @@ class Trace:
         world = None if self.world is None else self.world.rows(skip)
         return Trace(self.start_tick + skip, self.pos_w_m[skip:], self.fallen[skip:], world)
 
+    def until(self, tick: int) -> Trace:
+        """The rows up to and with `tick`; none where it begins after that."""
+        keep = max(0, tick + 1 - self.start_tick)
+        world = None if self.world is None else self.world.rows(0, keep)
+        return Trace(self.start_tick, self.pos_w_m[:keep], self.fallen[:keep], world)
+
     @property
     def duration_s(self) -> float:
         """Time covered, T / 30."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
+import threading
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +13,8 @@ from typing import Any
 import httpx
 import numpy as np
 
-from orchestrator.core.supervise import StackOptions
+from orchestrator.core.keeper import BackOff, Keeper
+from orchestrator.core.supervise import Stack, StackOptions
 
 LIGHT = StackOptions(planner_plugin="stand", tracker_plugin="kinematic", planner_args=("--plugins", "stand"))
 """Without torch a planner is there in a second."""
@@ -31,6 +35,30 @@ def play(http: httpx.Client, spec: dict[str, Any]) -> tuple[dict[str, Any], dict
     path = f"/v1/episodes/{reply.json()['id']}"
     # The stream of events ends with the episode.
     assert '"type":"end"' in http.get(f"{path}/events").text.replace(" ", "")
-    with np.load(io.BytesIO(http.get(f"{path}/motion.npz").content), allow_pickle=False) as data:
-        recording = {name: data[name].tobytes() for name in data.files}
-    return http.get(path).json(), recording
+    return http.get(path).json(), arrays_of(http, path.rpartition("/")[2])
+
+
+def arrays_of(http: httpx.Client, episode_id: str) -> dict[str, bytes]:
+    """Every array of an episode's recording as bytes."""
+    content = http.get(f"/v1/episodes/{episode_id}/motion.npz").content
+    with np.load(io.BytesIO(content), allow_pickle=False) as data:
+        return {name: data[name].tobytes() for name in data.files}
+
+
+@contextlib.contextmanager
+def kept_up(stack: Stack) -> Iterator[Keeper]:
+    """Within it, what ends of a stack is started again soon. What was started in it ends with it: a process is told of
+    the death of the thread that started it."""
+    keeper, over = Keeper(stack, lambda line: None, BackOff(first_s=0.1, longest_s=0.4)), threading.Event()
+
+    def look() -> None:
+        while not over.wait(0.05):
+            keeper.look()
+
+    looking = threading.Thread(target=look, name="keeper")
+    looking.start()
+    try:
+        yield keeper
+    finally:
+        over.set()
+        looking.join()

@@ -60,7 +60,8 @@ def test_after_a_kill_running_episodes_are_interrupted_with_all_recorded_ticks(t
     child.join(60)
     assert child.exitcode == -signal.SIGKILL
     store = SqliteStore(tmp_path)
-    assert store.mark_interrupted() == ["e1"]
+    assert store.left_running() == (["e1"], [])
+    store.mark_interrupted(["e1"], [])
     row = store.episode("e1")
     assert row["status"] == "interrupted"
     assert "stopped" in row["reason"]
