@@ -8,6 +8,7 @@ THREE := orchestrator/web/vendor/version.json
 SEED ?= 1
 OUT ?= out
 JOBS ?= 2
+FAULTS ?= 200
 ARGS ?=
 
 # One thread a process: services and test workers share the cores by processes, not by thread pools.
@@ -16,7 +17,7 @@ export MKL_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test test-page check docs format bench eval-tasks eval-results eval-text eval-tracker eval-planner clean
+.PHONY: help setup demo serve test test-page chaos check docs format bench eval-tasks eval-results eval-text eval-tracker eval-planner clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -51,6 +52,9 @@ test-page: setup ## drive the live page in headless Chromium against the three s
 	$(BIN)/python -m orchestrator.web.fetch_three
 	$(BIN)/python -m tests.page.browser
 	$(BIN)/python -m pytest tests/page -m page $(ARGS)
+
+chaos: setup ## 200 faults over running episodes (about half an hour); FAULTS sets how many; leaves out/chaos.json
+	$(BIN)/python -m tests.chaos.run --faults $(FAULTS) --seed $(SEED) --json $(OUT)/chaos.json $(ARGS)
 
 check: setup ## ruff, mypy --strict, import-linter
 	$(BIN)/ruff check .

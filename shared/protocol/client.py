@@ -32,8 +32,8 @@ Kind = Literal["planner", "tracker"]
 Reply = TypeVar("Reply", bound=Message)
 DEFAULT_TIMEOUT_S = 10.0
 HANDSHAKE_TIMEOUT_S = 5.0
-FIRST_RESEND_S = 1.0
-MAX_RESEND_S = 8.0
+RESEND_S = 1.0
+"""What is lost costs about so much time; a service that is busy answers a repeated request once."""
 
 
 @dataclass(frozen=True)
@@ -220,13 +220,12 @@ class ServiceClient:
 
     def _exchange(self, envelope: Envelope, message: Message, until: float) -> Message:
         frames = encode(envelope, message)
-        resend_s = FIRST_RESEND_S
         while True:
             if self._socket.closed:
                 raise UnavailableError("the client is closed")
             with contextlib.suppress(zmq.Again):  # the queue to a peer that is away is full: tried again below
                 self._socket.send_multipart(frames, flags=zmq.NOBLOCK)
-            resend_at = time.monotonic() + resend_s
+            resend_at = time.monotonic() + RESEND_S
             while (left_s := min(until, resend_at) - time.monotonic()) > 0:
                 if self._socket.poll(max(1, round(left_s * 1000))):
                     reply = _reply_to(envelope.message_id, self._socket.recv_multipart())
@@ -234,7 +233,6 @@ class ServiceClient:
                         return reply
             if time.monotonic() >= until:
                 raise DeadlineError(f"no reply to {message.type} from {self.peer.endpoint} before the deadline")
-            resend_s = min(2 * resend_s, MAX_RESEND_S)
 
 
 def _reply_to(message_id: str, frames: list[bytes]) -> Message | None:
@@ -362,18 +360,16 @@ class AsyncServiceClient:
         frames = encode(envelope, message)
         future: asyncio.Future[Message] = asyncio.get_running_loop().create_future()
         self._waiting[envelope.message_id] = future
-        resend_s = FIRST_RESEND_S
         try:
             while True:
                 with contextlib.suppress(zmq.Again):  # the queue to a peer that is away is full: tried again below
                     await self._socket.send_multipart(frames, flags=zmq.NOBLOCK)
-                wait_s = min(until - time.monotonic(), resend_s)
+                wait_s = min(until - time.monotonic(), RESEND_S)
                 done, _ = await asyncio.wait({future}, timeout=max(wait_s, 0.0))
                 if done:
                     return future.result()
                 if time.monotonic() >= until:
                     raise DeadlineError(f"no reply to {message.type} from {self.peer.endpoint} before the deadline")
-                resend_s = min(2 * resend_s, MAX_RESEND_S)
         finally:
             self._waiting.pop(envelope.message_id, None)
 

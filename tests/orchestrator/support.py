@@ -14,7 +14,7 @@ import httpx
 import numpy as np
 
 from orchestrator.core.keeper import BackOff, Keeper
-from orchestrator.core.supervise import Stack, StackOptions
+from orchestrator.core.supervise import Say, Stack, StackOptions
 
 LIGHT = StackOptions(planner_plugin="stand", tracker_plugin="kinematic", planner_args=("--plugins", "stand"))
 """Without torch a planner is there in a second."""
@@ -46,10 +46,10 @@ def arrays_of(http: httpx.Client, episode_id: str) -> dict[str, bytes]:
 
 
 @contextlib.contextmanager
-def kept_up(stack: Stack) -> Iterator[Keeper]:
+def kept_up(stack: Stack, say: Say = lambda line: None) -> Iterator[Keeper]:
     """Within it, what ends of a stack is started again soon. What was started in it ends with it: a process is told of
     the death of the thread that started it."""
-    keeper, over = Keeper(stack, lambda line: None, BackOff(first_s=0.1, longest_s=0.4)), threading.Event()
+    keeper, over = Keeper(stack, say, BackOff(first_s=0.1, longest_s=0.4)), threading.Event()
 
     def look() -> None:
         while not over.wait(0.05):

@@ -1,0 +1,154 @@
+"""Episodes that run while faults are made, as seen over HTTP: who lives, who goes on, how they ended."""
+
+from __future__ import annotations
+
+import io
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import httpx
+import numpy as np
+
+GIVE_UP_S = 180.0
+LOOK_S = 0.1
+RUNNING = 3
+TASKS: list[dict[str, Any]] = [{"type": "halt", "duration_s": 20}, {"type": "text", "text": "a person stands."}] * 30
+SPECS: tuple[dict[str, Any], ...] = (
+    {"pacing": "realtime", "tracker": "kinematic"},
+    {"pacing": "realtime", "tracker": "pd"},
+    {"pacing": "lockstep", "tracker": "kinematic"},
+)
+SPARE_TICKS = 31
+"""By the clock some ticks pass before an end is noticed: a recording may hold them."""
+
+
+class StuckError(AssertionError):
+    """Something that should have come has not."""
+
+
+@dataclass
+class Ended:
+    """How an episode ended."""
+
+    id: str
+    pacing: str
+    status: str
+    reason: str | None
+    trouble: str | None = None
+    """What is wrong with its recording or its end; None where all is well."""
+
+
+@dataclass
+class Arena:
+    """The episodes of one stack.
+
+    Attributes:
+        http: of the orchestrator.
+        running: specs by id.
+        ended: those that are over.
+    """
+
+    http: httpx.Client
+    running: dict[str, dict[str, Any]] = field(default_factory=dict)
+    ended: list[Ended] = field(default_factory=list)
+    started: int = 0
+
+    def ask(self, method: str, path: str, body: dict[str, Any] | None = None) -> httpx.Response | None:
+        """The answer; None while nobody answers."""
+        try:
+            return self.http.request(method, path, json=body)
+        except httpx.TransportError:
+            return None
+
+    def fill(self) -> None:
+        """Have as many episodes running as there should be."""
+        wanted = [s for s in SPECS if s not in self.running.values()][: RUNNING - len(self.running)]
+        for spec in wanted:
+            answer = self.ask("POST", "/v1/episodes", {**spec, "tasks": TASKS, "seed": self.started})
+            if answer is not None and answer.status_code == 201:
+                self.running[answer.json()["id"]] = spec
+                self.started += 1
+
+    def look(self) -> dict[str, dict[str, Any]]:
+        """What is told of the running ones; those that are over are taken out. Empty while nobody answers."""
+        out: dict[str, dict[str, Any]] = {}
+        for episode_id in list(self.running):
+            answer = self.ask("GET", f"/v1/episodes/{episode_id}")
+            if answer is None or answer.status_code >= 500:
+                return {}
+            if answer.status_code == 404:
+                self._over(episode_id, {"status": "lost", "reason": None})
+            elif (told := answer.json())["status"] != "running":
+                self._over(episode_id, told)
+            else:
+                out[episode_id] = told
+        return out
+
+    def wait(self, condition: Callable[[], bool], what: str) -> float:
+        """Seconds until it held; raises StuckError."""
+        began_s = time.monotonic()
+        while not condition():
+            if time.monotonic() - began_s > GIVE_UP_S:
+                raise StuckError(f"never: {what}")
+            time.sleep(LOOK_S)
+        return time.monotonic() - began_s
+
+    def going(self, since: dict[str, dict[str, Any]] | None = None) -> Callable[[], bool]:
+        """A condition: every running episode has moved on from `since` (or from the first look), none is degraded."""
+        first = dict(since or {})
+
+        def holds() -> bool:
+            self.fill()
+            now = self.look()
+            if len(now) < len(self.running) or not now:
+                return False
+            for episode_id, told in now.items():
+                first.setdefault(episode_id, told)
+            return all(
+                told["phase"] != "degraded" and told["tick"] != first[episode_id]["tick"]
+                for episode_id, told in now.items()
+            )
+
+        return holds
+
+    def finish(self) -> None:
+        """Cancel what runs and wait for its end."""
+        for episode_id in list(self.running):
+            self.wait(lambda path=f"/v1/episodes/{episode_id}": self.ask("DELETE", path) is not None, "it is cancelled")
+        self.wait(lambda: not self.look() and not self.running, "all have ended")
+
+    def _over(self, episode_id: str, told: dict[str, Any]) -> None:
+        spec = self.running.pop(episode_id)
+        end = Ended(episode_id, spec["pacing"], told["status"], told["reason"])
+        end.trouble = self._trouble(end, told)
+        self.ended.append(end)
+
+    def _trouble(self, end: Ended, told: dict[str, Any]) -> str | None:
+        if end.status == "lost":
+            return "nobody knows it any more"
+        if end.status in ("failed", "interrupted") and not end.reason:
+            return "it ended without a reason"
+        if not told.get("outcome"):
+            return None  # it was never begun, or interrupted: there is no number of ticks to compare with
+        ticks = told["outcome"]["ticks"]
+        answer: list[httpx.Response] = []
+
+        def there() -> bool:
+            reply = self.ask("GET", f"/v1/episodes/{end.id}/motion.npz")
+            answer[:] = [] if reply is None or reply.status_code != 200 else [reply]
+            return bool(answer) or ticks == 0
+
+        try:
+            self.wait(there, f"the recording of {end.id}")
+        except StuckError as error:
+            return str(error)
+        if not answer:
+            return None
+        with np.load(io.BytesIO(answer[0].content), allow_pickle=False) as data:
+            start, count = int(data["start_tick"]), len(data["body_pos_w_m"])
+        more = count - (ticks + 1)
+        if start != 0 or not 0 <= more <= (SPARE_TICKS if end.pacing == "realtime" else 0):
+            return f"{count} ticks from {start} are recorded of {ticks}"
+        return None
