@@ -13,10 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from planner_service.builtin.library import ClipLibrary, LibraryClip, pose_features
-from planner_service.builtin.stand import settle
+from planner_service.builtin.stand import coming_to_rest, plan_of
 from shared.motion.features import rotate_z
 from shared.motion.heading import body_heading, heading_of
-from shared.motion.ik import clip_from_positions
 from shared.motion.metrics import sole_points
 from shared.motion.resampling import finite_velocity
 from shared.motion.rotations import wrap_angle
@@ -67,16 +66,9 @@ class ClipPlanner:
             positions[:, :, 2] += np.maximum(0.0, -sole_points(positions)[..., 2].min(axis=-1))[:, None]
             positions = positions[1:]
         else:
-            positions = settle(last, velocity, np.arange(1, request.horizon_frames + 1) / PLANNER_FPS)
-        clip = clip_from_positions(positions, PLANNER_FPS, rebuild=True)
-        return Plan(
-            planner=self.spec.name,
-            start_tick=request.start_tick,
-            positions_w_m=clip.positions_w_m,
-            rotations_6d=clip.rotations_6d,
-            seed=request.seed,
-            ignored_conditions=[f"target:{t.joint}" for t in request.targets if t.joint not in FLOOR_TARGETS],
-        )
+            positions = coming_to_rest(request)
+        ignored = [f"target:{t.joint}" for t in request.targets if t.joint not in FLOOR_TARGETS]
+        return plan_of(self.spec.name, request, positions, ignored)
 
     def _candidates(self, request: PlanRequest, way: Array | None) -> list[LibraryClip]:
         """Clips to play; none to come to a stand."""

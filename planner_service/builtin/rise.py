@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from planner_service.builtin.stand import settle
+from planner_service.builtin.stand import coming_to_rest, plan_of
 from shared.errors import InvalidInputError
-from shared.motion.ik import clip_from_positions
 from shared.motion.resampling import resample
 from shared.motion.rise import LOW_PELVIS_M, Rises
 from shared.motion.skeleton import CANONICAL
@@ -67,13 +66,5 @@ class RisePlanner:
             count = request.horizon_frames
             positions = way[np.minimum(np.arange(count), len(way) - 1)]
         else:
-            velocity = np.asarray(request.prefix_velocities_w_mps[-1], dtype=np.float64)
-            positions = settle(last, velocity, np.arange(1, request.horizon_frames + 1) / PLANNER_FPS)
-        clip = clip_from_positions(positions, PLANNER_FPS, rebuild=True)
-        return Plan(
-            planner=self.spec.name,
-            start_tick=request.start_tick,
-            positions_w_m=clip.positions_w_m,
-            rotations_6d=clip.rotations_6d,
-            seed=request.seed,
-        )
+            positions = coming_to_rest(request)
+        return plan_of(self.spec.name, request, positions)

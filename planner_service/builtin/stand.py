@@ -6,6 +6,8 @@ the feet step there one after the other. So the plan starts with the prefix's po
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -88,6 +90,25 @@ def settle(last_w_m: npt.ArrayLike, velocity_w_mps: npt.ArrayLike, times_s: npt.
     return out
 
 
+def coming_to_rest(request: PlanRequest) -> Array:
+    """Positions (T, 22, 3) that a plan for `request` has which ends in a stand; see `settle`."""
+    times_s = np.arange(1, request.horizon_frames + 1) / PLANNER_FPS
+    return settle(request.prefix_positions_w_m[-1], request.prefix_velocities_w_mps[-1], times_s)
+
+
+def plan_of(planner: str, request: PlanRequest, positions_w_m: Array, ignored: Sequence[str] = ()) -> Plan:
+    """The plan of a built-in planner from its positions (T, 22, 3), with the rotations that IK gives them."""
+    clip = clip_from_positions(positions_w_m, PLANNER_FPS, rebuild=True)
+    return Plan(
+        planner=planner,
+        start_tick=request.start_tick,
+        positions_w_m=clip.positions_w_m,
+        rotations_6d=clip.rotations_6d,
+        seed=request.seed,
+        ignored_conditions=list(ignored),
+    )
+
+
 class StandPlanner:
     """Relaxed standing where the character is. Honours no condition."""
 
@@ -100,13 +121,4 @@ class StandPlanner:
         return [self._plan(request) for request in requests]
 
     def _plan(self, request: PlanRequest) -> Plan:
-        times_s = np.arange(1, request.horizon_frames + 1) / PLANNER_FPS
-        positions = settle(request.prefix_positions_w_m[-1], request.prefix_velocities_w_mps[-1], times_s)
-        clip = clip_from_positions(positions, PLANNER_FPS, rebuild=True)
-        return Plan(
-            planner=self.spec.name,
-            start_tick=request.start_tick,
-            positions_w_m=clip.positions_w_m,
-            rotations_6d=clip.rotations_6d,
-            seed=request.seed,
-        )
+        return plan_of(self.spec.name, request, coming_to_rest(request))

@@ -59,11 +59,6 @@ class ReachTask(Task):
             raise ConflictError("the task was not started, its goal is not known yet")
         return self._goal
 
-    @property
-    def upright(self) -> bool:
-        """Always."""
-        return True
-
     def start(self, view: BodyView) -> None:
         """Fix the goal: the given point, one relative to the body, or a random one 1-3 m away in any direction."""
         spec = self._spec
@@ -152,11 +147,6 @@ class HaltTask(Task):
     def time_limit_s(self) -> float:
         """The time allowed for stopping, the standing time and a margin of a second."""
         return self._spec.settle_s + self._spec.duration_s + 1.0
-
-    @property
-    def upright(self) -> bool:
-        """Always."""
-        return True
 
     def start(self, view: BodyView) -> None:
         """The spot is where the body comes to rest, which is not known yet."""

@@ -192,7 +192,7 @@ class Verdict:
 class Task(Protocol):
     """One thing to do. `start` is called once, then `goal` at every plan and `status` with every new stretch.
 
-    A class that names this one as its base has `posture` and `props` as most tasks need them.
+    A class that names this one as its base has `upright`, `posture` and `props` as most tasks need them.
     """
 
     @property
@@ -213,7 +213,7 @@ class Task(Protocol):
     @property
     def upright(self) -> bool:
         """Whether lying on the floor means that it went wrong, whatever the plan says."""
-        ...
+        return True
 
     @property
     def posture(self) -> Posture:

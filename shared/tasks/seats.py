@@ -116,11 +116,6 @@ class SitTask(Task):
         return self._spec.time_limit_s
 
     @property
-    def upright(self) -> bool:
-        """Sitting is not lying."""
-        return True
-
-    @property
     def posture(self) -> Posture:
         """It ends seated."""
         return "seated"

@@ -89,11 +89,6 @@ class StrikeTask(Task):
         """From the spec."""
         return self._spec.time_limit_s
 
-    @property
-    def upright(self) -> bool:
-        """Always."""
-        return True
-
     def props(self, view: BodyView) -> Mapping[str, Array]:
         """A bag that does not stand is set up where the scene has it, or ahead where the body is in the way."""
         bag = marked_object(view, self._spec.mark)

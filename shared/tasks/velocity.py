@@ -36,11 +36,6 @@ class VelocityTask(Task):
         """Its duration and a margin of a second."""
         return self._spec.duration_s + 1.0
 
-    @property
-    def upright(self) -> bool:
-        """Always."""
-        return True
-
     def start(self, view: BodyView) -> None:
         """Fix the direction."""
         spec = self._spec

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -230,6 +230,26 @@ def upright_references(human: Humanoid, corpus: Corpus | None) -> ReferenceSet:
     return prepare(human, motions + ([] if corpus is None else long_walks(corpus, max(PUSH_TICKS) + 40)))
 
 
+@dataclass(frozen=True)
+class _Batch:
+    """Bodies that lie: qpos (N, 7+H), positions (N, J, 3), and a way up for each."""
+
+    qpos: Floats
+    lying_w_m: Floats
+    ways: list[MotionInput]
+
+
+def _batches(
+    human: Humanoid, settings: EnvSettings, policy: Policy, corpus: Path, count: int, seed: int
+) -> Iterator[_Batch]:
+    """Falls of a policy in batches, with ways up out of a corpus for those that lie in the end."""
+    loaded = Corpus.load(corpus)
+    library, upright = library_of(loaded, "train"), upright_references(human, loaded)
+    for first in range(0, count, BATCH):
+        qpos, lying = fall(human, upright, settings, policy, min(BATCH, count - first), seed + first)
+        yield _Batch(qpos, lying, ways_up(human, lying, library, 1.0, f"{seed}_{first}"))
+
+
 app = typer.Typer(add_completion=False)
 
 
@@ -244,16 +264,13 @@ def record(
 ) -> None:
     """Record get-ups that the policy performs, the library of the planner `rise`: at most `keep` of a facing."""
     human = humanoid(HUMAN)
-    loaded = Corpus.load(corpus)
     settings, policy = policy_of(human, weights)
     out.mkdir(parents=True, exist_ok=True)
-    library, upright = library_of(loaded, "train"), upright_references(human, loaded)
     kept: dict[str, int] = {}
-    for first in range(0, count, BATCH):
-        qpos, lying = fall(human, upright, settings, policy, min(BATCH, count - first), seed + first)
-        did = follow(human, settings, policy, qpos, ways_up(human, lying, library, 1.0), seed)
+    for batch in _batches(human, settings, policy, corpus, count, seed):
+        did = follow(human, settings, policy, batch.qpos, batch.ways, seed)
         for body in np.flatnonzero(stands(human, did)).tolist():
-            facing = str(_facing(human, lying[body : body + 1])[0])
+            facing = str(_facing(human, batch.lying_w_m[body : body + 1])[0])
             if kept.get(facing, 0) < keep:
                 kept[facing] = kept.get(facing, 0) + 1
                 name = f"{facing}_{kept[facing] - 1}"
