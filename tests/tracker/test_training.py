@@ -156,6 +156,17 @@ def test_exploded_states_are_dropped_and_begun_anew(references: ReferenceSet) ->
     assert not (result.terminated | result.truncated)[2]
 
 
+def test_some_episodes_begin_on_the_clip_and_none_in_the_floor(references: ReferenceSet) -> None:
+    env = TrackingEnv(HUMANOID, references, SMALL.model_copy(update={"envs": 200}), seed=2)
+    env.reset_all()
+    frames = references.start[env.clip] + env.time
+    off = np.abs(env.qpos[:, 7:] - references.qpos[frames, 7:]).mean(axis=1)
+    assert off.min() < 0.01 and 0.05 < off.max() < 0.12
+    lowest = env.bodies().pos_w_m[..., 2].min(axis=1)
+    assert (lowest > references.pos_w_m[frames, :, 2].min(axis=1) - 1e-6).all()
+    env.close()
+
+
 def test_episodes_end_before_the_preview_runs_over_the_clip(references: ReferenceSet) -> None:
     env = TrackingEnv(HUMANOID, references, SMALL, seed=0)
     env.reset_all()

@@ -62,7 +62,9 @@ class EnvSettings(BaseModel):
         action_scale_rad: servo targets move by at most this from the led reference.
         episode_ticks: longest episode.
         stop_mean_m, stop_max_m: mean and largest joint distance that end an episode.
-        noise_*: of the starting state. push_*: chance a tick and size of a sudden change of the root's velocity.
+        noise_*: of the starting state, times a number from 0 to noise_most drawn for each episode: some begin on the
+            clip, others as far from it as a body from the plan that was made while it stumbled.
+        push_*: chance a tick and size of a sudden change of the root's velocity.
         heights: observations end with the heights of what is underfoot and under the seat (`training.seats`).
         knock_*: chance a tick and most of an impulse on a hand, foot, elbow or knee.
         jump_*: chance a tick and size of a sideways jump of the reference, which decays by jump_decay a tick
@@ -80,6 +82,7 @@ class EnvSettings(BaseModel):
     noise_hinge_rad: float = 0.03
     noise_root_m: float = 0.02
     noise_rate: float = 0.1
+    noise_most: float = 3.0
     push_chance: float = 1 / 150
     push_mps: float = 0.3
     knock_chance: float = 1 / 240
@@ -190,11 +193,15 @@ class TrackingEnv:
         frames = self.references.start[clips] + times
         qpos = self.references.qpos[frames].astype(np.float64)
         qvel = self.references.qvel[frames].astype(np.float64)
-        qpos[:, 7:] += rng.normal(size=(n, self.hinges)) * s.noise_hinge_rad
-        qpos[:, :2] += rng.normal(size=(n, 2)) * s.noise_root_m
-        qpos[:, 3:7] += rng.normal(size=(n, 4)) * 0.01
+        far = rng.random((n, 1)) * s.noise_most
+        qpos[:, 7:] += rng.normal(size=(n, self.hinges)) * s.noise_hinge_rad * far
+        qpos[:, :2] += rng.normal(size=(n, 2)) * s.noise_root_m * far
+        qpos[:, 3:7] += rng.normal(size=(n, 4)) * 0.01 * far
         qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=-1, keepdims=True)
-        qvel += rng.normal(size=qvel.shape) * s.noise_rate
+        qvel += rng.normal(size=qvel.shape) * s.noise_rate * far
+        # None of them begins deeper in the floor than its clip: the contact would throw it up.
+        low = self.references.pos_w_m[frames, :, 2].min(axis=1) - self.kinematics.poses(qpos)[0][..., 2].min(axis=1)
+        qpos[:, 2] += np.maximum(low, 0.0)
         self._set(rows, qpos, qvel)
 
     def _set(self, rows: Ints, qpos: npt.NDArray[np.floating], qvel: npt.NDArray[np.floating]) -> None:
