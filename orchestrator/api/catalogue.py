@@ -13,6 +13,7 @@ from orchestrator.api.problems import RESPONSES
 from orchestrator.core.command import JOINTS
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import TICK_HZ
+from shared.protocol.rest import Point
 from shared.scenes.schema import Scene
 from shared.tasks.factory import KINDS
 
@@ -46,8 +47,8 @@ class SkeletonBody(BaseModel):
     id: str
     joints: list[str]
     parents: list[int]
-    offsets_m: list[list[float]]
-    rest_positions_m: list[list[float]]
+    offsets_m: list[Point]
+    rest_positions_m: list[Point]
     height_m: float
     tick_hz: int = TICK_HZ
     target_joints: list[str]
@@ -83,8 +84,8 @@ async def skeleton() -> SkeletonBody:
         id=CANONICAL.id,
         joints=list(CANONICAL.names),
         parents=list(CANONICAL.parents),
-        offsets_m=[[float(x), float(y), float(z)] for x, y, z in CANONICAL.offsets_m],
-        rest_positions_m=[[float(x), float(y), float(z)] for x, y, z in CANONICAL.rest_positions_m],
+        offsets_m=[(float(x), float(y), float(z)) for x, y, z in CANONICAL.offsets_m],
+        rest_positions_m=[(float(x), float(y), float(z)) for x, y, z in CANONICAL.rest_positions_m],
         height_m=CANONICAL.height_m,
         target_joints=list(JOINTS),
     )

@@ -10,6 +10,9 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
 
+Point = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
 
 class Body(BaseModel):
     """Base: immutable, unknown fields are ignored."""
@@ -35,9 +38,9 @@ class StateFields(Body):
     tick: int
     time_s: float
     joints: tuple[str, ...]
-    positions_m: list[list[float]]
-    rotations_wxyz: list[list[float]]
-    pelvis_m: list[float]
+    positions_m: list[Point]
+    rotations_wxyz: list[Quaternion]
+    pelvis_m: Point
     heading_rad: float
     contacts: list[bool]
     tracking_error_m: float

@@ -193,3 +193,16 @@ def test_health_metrics_and_the_openapi_document(http: httpx.Client) -> None:
     reply = http.post("/v1/episodes", json=examples["tour"]["value"])
     assert reply.status_code == 201
     http.delete(f"/v1/episodes/{reply.json()['id']}")
+
+
+def test_points_are_described_as_three_numbers(http: httpx.Client) -> None:
+    schemas = http.get("/openapi.json").json()["components"]["schemas"]
+    joints = http.get("/v1/skeleton").json()
+    for model, field in (
+        ("SkeletonBody", "offsets_m"),
+        ("SkeletonBody", "rest_positions_m"),
+        ("StateBody", "positions_m"),
+    ):
+        items = schemas[model]["properties"][field]["items"]
+        assert (items["minItems"], items["maxItems"]) == (3, 3)
+    assert all(len(point) == 3 for point in joints["offsets_m"])
