@@ -33,7 +33,7 @@ class StrikeSpec(BaseTaskSpec):
     from_m: Metres = 0.8
     to_m: Metres = 1.55
     stand_m: Metres = 1.1
-    blow_s: Annotated[FiniteFloat, Field(ge=0.4, le=2)] = 0.8
+    blow_s: Annotated[FiniteFloat, Field(ge=0.4, le=2)] = 1.2
     time_limit_s: TimeLimit = 15.0
     guidance: Guidance | None = None
 

@@ -31,7 +31,7 @@ JOINTS: dict[Limb, str] = {
 """What is sent to the target."""
 STEP_M = 1.3
 STEP_MPS = 1.0
-REACH_M = 0.9
+REACH_M = 0.8
 """From the pelvis a hand or foot comes so far without a step."""
 HAND_M = 1.3
 """A fist lands so high where the object is tall enough: the same blow topples more the higher it lands."""
@@ -75,6 +75,7 @@ class StrikeTask(Task):
         self._stand = HaltTask(HaltSpec(guidance=spec.guidance))
         self._lands_tick: int | None = None
         self._hit_tick: int | None = None
+        self._blow_tick, self._felt = 0, False
         self._stood, self._way = np.zeros(3), np.zeros(2)
         self._blows = 0
         self._back = False
@@ -136,13 +137,17 @@ class StrikeTask(Task):
             return turn_on_the_spot(view, plan_tick, bearing, spec.guidance)
         seconds = min(spec.blow_s + max(0.0, distance - REACH_M) / STEP_MPS, 2.0)
         self._lands_tick, self._hit_tick = plan_tick + round(seconds * TICK_HZ), None
+        self._blow_tick, self._felt = plan_tick, False
         self._stood, self._way = place, away / np.linalg.norm(away)
         self._blows += 1
         return self._blow(view, plan_tick)
 
     def _was_hit(self, place: Array, pose: Array | None) -> bool:
+        """Felt in the limb, or seen: a heavy object that a kick meets low does not move."""
         moved = float(np.linalg.norm(place - self._stood))
-        return moved > TOUCHED_M or (pose is not None and float(object_rules.tilt_rad(pose)) > TOUCHED_RAD)
+        return (
+            self._felt or moved > TOUCHED_M or (pose is not None and float(object_rules.tilt_rad(pose)) > TOUCHED_RAD)
+        )
 
     def _through(self, height_m: float, beyond_m: float) -> Array:
         """(3,) a point so far beyond where the mark was when the blow began."""
@@ -193,6 +198,9 @@ class StrikeTask(Task):
     def status(self, trace: Trace) -> Status:
         """Done when the bag is down and the limb was first; failed when it is down by anything else."""
         blow = self._judged(trace)
+        if trace.world is not None and blow is not None and self._lands_tick is not None:
+            limb = trace.world.impulse_ns(self._known().object, object_rules.LIMBS[self._spec.limb])
+            self._felt |= bool((limb[max(self._blow_tick - trace.start_tick, 0) :] > 0).any())
         if blow is None or not blow.outcome.code:
             return "running"
         return "done" if blow.outcome.met_tick is not None else "failed"

@@ -15,6 +15,7 @@ from shared.motion.rotations import matrix_about_z
 from shared.motion.skeleton import CANONICAL
 from shared.scenes.files import load_scene
 from shared.scenes.placing import pose_of
+from shared.tasks import object_rules
 from shared.tasks.factory import BUILT_IN, KINDS, TaskSpec, make_task
 from shared.tasks.interface import BodyView, Trace
 from shared.tasks.object_specs import GetUpSpec, SitSpec, StrikeSpec
@@ -51,7 +52,7 @@ def test_a_blow_counts_down_to_one_tick_and_then_waits_before_the_next(limb: str
         arrivals.append(target.arrival_tick)
         texts.append(goal.text)
     assert len(set(arrivals)) == 1
-    assert arrivals[0] == 24  # 0.8 s, and no step to make at 0.9 m
+    assert arrivals[0] == 39  # 1.2 s, and a step of 0.1 m to make at 0.9 m
     follow = task.goal(view("bag", 1.1, tick=arrivals[0] + 10), arrivals[0] + 10)
     assert follow.text == texts[0]
     again = task.goal(view("bag", 1.1, tick=arrivals[0] + 24), arrivals[0] + 24)
@@ -74,8 +75,20 @@ def test_what_was_hit_is_gone_through_until_it_goes_down(limb: str) -> None:
         arrivals.add(target.arrival_tick)
     assert arrivals == {15 + 27}
     assert task.goal(leaning_bag(view("bag", 1.3, tick=45), 0.5), 45).text == STAND_TEXT
-    # One that rocks back is hit again.
+    # One that rocks back is hit again; what the limb feels counts though nothing moves.
     assert task.goal(view("bag", 1.1, tick=80), 80).targets[0].arrival_tick > 80 + 15
+    felt = touched_world(30, object_rules.LIMBS[StrikeSpec.model_validate({"limb": limb}).limb][-1], 25)
+    assert task.status(Trace(80, np.repeat(STAND[None], 30, axis=0), np.zeros(30, dtype=bool), felt)) == "running"
+    assert "steps forward" in str(task.goal(view("bag", 1.4, tick=110), 110).text)
+
+
+def touched_world(ticks: int, joint: str, row: int) -> World:
+    """The bag that stands, touched once."""
+    (bag,) = load_scene("bag").bodies
+    return World(
+        ("bag",), np.repeat(pose_of(bag)[None, None].astype(np.float64), ticks, axis=0), np.zeros((ticks, 1, 6)),
+        np.array([row]), np.array([CANONICAL.index(joint)]), np.array([0]), np.array([9.0]),
+    )  # fmt: skip
 
 
 def leaning_bag(seen: BodyView, lean_rad: float) -> BodyView:
