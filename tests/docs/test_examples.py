@@ -14,6 +14,8 @@ import pytest
 import yaml
 
 from orchestrator.client import Client
+from orchestrator.core.episode import EpisodeSpec
+from orchestrator.core.scenes import Scenes
 from shared.plugins.conformance import check_planner_endpoint, check_tracker_endpoint
 from shared.plugins.interfaces import Planner, Tracker
 from tests.docs.conftest import REPO, Served
@@ -83,6 +85,14 @@ def test_one_follows_the_other(served: Served, capsys: pytest.CaptureFixture[str
     assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()] == ["leader", "follower"]
     with Client(served.url) as client:
         assert len(client.characters) == 0
+
+
+@pytest.mark.parametrize("file", sorted(path.name for path in (REPO / "examples").glob("*.yaml")))
+def test_episodes_of_the_examples_are_valid_and_fit_their_scenes(file: str) -> None:
+    spec = EpisodeSpec.model_validate(yaml.safe_load((REPO / "examples" / file).read_text()))
+    scene = Scenes().chosen(spec.scene, spec.seed)
+    for task in spec.tasks:
+        task.check(scene)
 
 
 @pytest.mark.parametrize("file", ["tour.yaml"])
