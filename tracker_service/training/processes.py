@@ -6,10 +6,12 @@ seed of every tick, so that a training that was stopped and one that was not do 
 
 from __future__ import annotations
 
+import atexit
 import mmap
 import multiprocessing
 import signal
 from collections.abc import Sequence
+from contextlib import suppress
 from math import prod
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkProcess
@@ -75,22 +77,29 @@ class ProcessEnv(TrackingEnv):
         edges = np.linspace(0, b, min(settings.processes, b) + 1).astype(int).tolist()
         context = multiprocessing.get_context("fork")
         self._children: list[tuple[ForkProcess, Connection]] = []
+        atexit.register(self.close)  # children outlive the terminate() of a parent that ends by an exception
         for first, last in zip(edges[:-1], edges[1:], strict=True):
             ours, theirs = context.Pipe()
             part = settings.model_copy(update={"envs": last - first, "threads": 1, "processes": 1})
-            arguments = (human, references, part, self._common, slice(first, last), self.failures, theirs)
+            inherited = [pipe for _, pipe in self._children] + [ours]
+            arguments = (human, references, part, self._common, slice(first, last), self.failures, theirs, inherited)
             child = context.Process(target=_serve, args=arguments, daemon=True)
             child.start()
             theirs.close()
             self._children.append((child, ours))
 
     def close(self) -> None:
-        """End the processes."""
-        for _, pipe in self._children:
-            pipe.send(("end", 0))
-        for child, pipe in self._children:
+        """End the processes. Safe to call twice."""
+        children, self._children = self._children, []
+        if not children:
+            return
+        for _, pipe in children:
+            with suppress(ConnectionError):  # one that has died
+                pipe.send(("end", 0))
+        for child, pipe in children:
             child.join()
             pipe.close()
+        atexit.unregister(self.close)
         super().close()
 
     def reset_all(self) -> F32:
@@ -130,9 +139,11 @@ class ProcessEnv(TrackingEnv):
 
 def _serve(
     human: Humanoid, references: ReferenceSet, settings: EnvSettings, shared: Arrays, rows: slice,
-    table: FailureTable, pipe: Connection,
+    table: FailureTable, pipe: Connection, inherited: list[Connection],
 ) -> None:  # fmt: skip
     """A child's life: its part of the environments, one order after another."""
+    for end in inherited:
+        end.close()  # the parent's: as long as somebody holds one, nobody hears that the parent is gone
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the parent hears them, and ends its children
     env = TrackingEnv(human, references, settings, 0)
@@ -153,7 +164,7 @@ def _serve(
                     shared[name][rows] = getattr(env, name)
             pipe.send(notes.ended)
             notes.ended = []
-    except EOFError:  # the parent is gone
+    except (EOFError, ConnectionError):  # the parent is gone
         pass
     env.close()
 
