@@ -25,6 +25,7 @@ from tracker_service.simulation.humanoid import FEET
 from tracker_service.simulation.objects import Vector, set_object
 from tracker_service.simulation.reference import ReferenceBuffer
 from tracker_service.simulation.scene import SceneModel
+from tracker_service.simulation.substeps import Substeps
 from tracker_service.simulation.surroundings import Heights, Sight
 
 Array = npt.NDArray[np.float64]
@@ -55,6 +56,17 @@ class States(NamedTuple):
     def velocity(self) -> Array:
         """(N, 6)."""
         return np.concatenate([self.linvel_w_mps, self.angvel_w_radps], axis=-1)
+
+
+def _moving(pos_w_m: Array, quat_w: Array, com_velocity: Array, root_com_w_m: Array) -> tuple[Array, ...]:
+    """Positions, quaternions, linear and angular velocities (..., N, 3 or 4) of frames.
+
+    Args:
+        com_velocity: (..., N, 6) MuJoCo's, angular then linear, of the point of the body at the centre of mass of its
+            tree, root_com_w_m (..., N, 3).
+    """
+    spin = com_velocity[..., :3]
+    return pos_w_m, quat_w, com_velocity[..., 3:] + cross(spin, pos_w_m - root_com_w_m), spin
 
 
 class SimulatedCharacter:
@@ -88,6 +100,7 @@ class SimulatedCharacter:
         self._heights = Heights(scene)
         self._sight = Sight(scene, self._heights)
         self._frames = np.concatenate([scene.body_ids, scene.object_ids])
+        self._roots = np.asarray(scene.model.body_rootid)[self._frames]
         self._low: list[tuple[int, bool]] = []
         self._feet = [scene.human.skeleton.index(name) for name in FEET]
         self.reset(xy_w_m, heading_rad)
@@ -189,8 +202,11 @@ class SimulatedCharacter:
 
     def sample(self) -> Samples:
         """The state now as one sample, arrays (1, ...): see `step`."""
-        row = self._sample(self.tick, *self._contacts.read(self._data, forces=False))
-        return {name: value[None] for name, value in row.items()}
+        contacts = self._contacts.read(self._data, forces=False)
+        self._place_frames()
+        substeps = self._substeps(1)
+        substeps.keep(0, self._data, *contacts, self.fallen)
+        return self._samples(substeps, self.reference.at(self.tick).pos_w_m)
 
     def step(self, ticks: int) -> Samples:
         """Advance by `ticks`; the 4 x ticks samples after the present one.
@@ -206,19 +222,21 @@ class SimulatedCharacter:
         Raises:
             SimulationError: physics produced non-finite or exploding values; the character must be reset or restored.
         """
-        rows = [row for _ in range(ticks) for row in self._step_tick()]
-        return {name: np.stack([row[name] for row in rows]) for name in rows[0]} if rows else {}
+        parts = [self._step_tick() for _ in range(ticks)]
+        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]} if parts else {}
 
     @property
     def fallen(self) -> bool:
         """DESIGN 2: low or on the floor for 0.3 s, where that was not asked for."""
         return self._fall.fallen
 
-    def _step_tick(self) -> list[Samples]:
-        rows = []
+    def _step_tick(self) -> Samples:
+        """The samples of one tick: kept raw substep by substep, worked out together."""
         if not self.driver.shows_pose:
             self._data.ctrl[:] = self.driver.targets(self.tick, self.observe)
         pose_only = self.driver.shows_pose
+        here, there = self.reference.at(self.tick, 2).pos_w_m
+        substeps = self._substeps(SUBSTEPS)
         for substep in range(1, SUBSTEPS + 1):
             if pose_only:
                 self._pose(substep / SUBSTEPS)
@@ -228,9 +246,10 @@ class SimulatedCharacter:
             touching, impulses = self._contacts.read(self._data, forces=not pose_only)
             if substep == SUBSTEPS:
                 self._end_tick(touching)
-            tick = self.tick if substep == SUBSTEPS else self.tick + substep / SUBSTEPS
-            rows.append(self._sample(tick, touching, impulses))
-        return rows
+            self._place_frames()
+            substeps.keep(substep - 1, self._data, touching, impulses, self.fallen)
+        phases = np.arange(1, SUBSTEPS)[:, None, None] / SUBSTEPS
+        return self._samples(substeps, np.concatenate([here + phases * (there - here), there[None]]))
 
     def _end_tick(self, touching: npt.NDArray[np.bool_]) -> None:
         self.tick += 1
@@ -258,41 +277,44 @@ class SimulatedCharacter:
         if not finite or np.abs(data.qvel[:3]).max() > EXPLODED_MPS:
             raise SimulationError(f"physics exploded at tick {self.tick}")
 
-    def _states(self) -> tuple[States, States]:
-        """Frames of the bodies (J) and of the objects (O)."""
-        model, data, ids = self.scene.model, self._data, self._frames
+    def _place_frames(self) -> None:
+        """Frames and velocities of the bodies where the last step has left them."""
+        model, data = self.scene.model, self._data
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
-        pos = data.xpos[ids]
-        spin = data.cvel[ids, :3]
-        arm = pos - data.subtree_com[model.body_rootid[ids]]
-        whole = pos, data.xquat[ids], data.cvel[ids, 3:] + cross(spin, arm), spin
+
+    def _states(self) -> tuple[States, States]:
+        """Frames of the bodies (J) and of the objects (O)."""
+        self._place_frames()
+        data, ids = self._data, self._frames
+        whole = _moving(data.xpos[ids], data.xquat[ids], data.cvel[ids], data.subtree_com[self._roots])
         bodies = len(self.scene.body_ids)
         return States(*(part[:bodies] for part in whole)), States(*(part[bodies:] for part in whole))
 
-    def _sample(self, tick: float, touching: npt.NDArray[np.bool_], impulses: Array) -> Samples:
-        bodies, objects = self._states()
-        pos, quat, lin, ang = bodies
-        whole = int(tick)
-        ref = self.reference.at(whole, 2).pos_w_m
-        target = ref[0] + (tick - whole) * (ref[1] - ref[0])
-        data = self._data
+    def _substeps(self, count: int) -> Substeps:
+        return Substeps(count, self._frames, self._roots, len(self.human.hinges), self._contacts.shape)
+
+    def _samples(self, kept: Substeps, reference_w_m: Array) -> Samples:
+        """What `step` returns of the substeps kept; reference (N, J, 3) at each."""
+        bodies = len(self.scene.body_ids)
+        pos, quat, lin, ang = _moving(kept.pos_w_m, kept.quat_w, kept.com_velocity, kept.root_com_w_m)
+        whole = np.concatenate([pos[:, bodies:], quat[:, bodies:]], axis=-1)
         return {
-            "body_pos_w_m": pos,
-            "body_quat_w": quat,
-            "body_linvel_w_mps": lin,
-            "body_angvel_w_radps": ang,
-            "contacts": touching[self._feet].any(axis=-1).astype(np.uint8),
-            "reference_pos_w_m": target,
-            "tracking_error_m": np.array(np.linalg.norm(pos - target, axis=-1).mean()),
-            "fallen": np.array(self._fall.fallen, dtype=np.uint8),
-            "hinge_pos_rad": data.qpos[7 : self._hinge_end].copy(),
-            "hinge_vel_radps": data.qvel[6 : self._hinge_end - 1].copy(),
-            "servo_target_rad": data.ctrl.copy(),
-            "object_pose_w": objects.pose,
-            "object_vel_w": objects.velocity,
-            "contact_impulse_ns": impulses,
+            "body_pos_w_m": pos[:, :bodies],
+            "body_quat_w": quat[:, :bodies],
+            "body_linvel_w_mps": lin[:, :bodies],
+            "body_angvel_w_radps": ang[:, :bodies],
+            "contacts": kept.touching[:, self._feet].any(axis=-1).astype(np.uint8),
+            "reference_pos_w_m": reference_w_m,
+            "tracking_error_m": np.linalg.norm(pos[:, :bodies] - reference_w_m, axis=-1).mean(axis=-1),
+            "fallen": kept.fallen,
+            "hinge_pos_rad": kept.hinge_pos_rad,
+            "hinge_vel_radps": kept.hinge_vel_radps,
+            "servo_target_rad": kept.servo_target_rad,
+            "object_pose_w": whole,
+            "object_vel_w": np.concatenate([lin[:, bodies:], ang[:, bodies:]], axis=-1),
+            "contact_impulse_ns": kept.impulse_ns,
         }
 
     def snapshot(self) -> tuple[dict[str, Any], Array, npt.NDArray[np.uint8]]:

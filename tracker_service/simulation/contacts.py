@@ -22,12 +22,12 @@ class Contacts:
 
     def __init__(self, scene: SceneModel):
         bodies = scene.model.nbody
-        self._joint_of = np.full(bodies, -1)
-        self._joint_of[scene.body_ids] = np.arange(len(scene.body_ids))
-        self._column_of = np.full(bodies, -1)
-        self._column_of[0] = FLOOR_COLUMN
-        self._column_of[scene.object_ids] = 1 + np.arange(len(scene.object_ids))
-        self._body_of = np.asarray(scene.model.geom_bodyid)
+        joint_of, column_of = np.full(bodies, -1), np.full(bodies, -1)
+        joint_of[scene.body_ids] = np.arange(len(scene.body_ids))
+        column_of[0] = FLOOR_COLUMN
+        column_of[scene.object_ids] = 1 + np.arange(len(scene.object_ids))
+        body_of = np.asarray(scene.model.geom_bodyid)
+        self._joint_of, self._column_of = joint_of[body_of], column_of[body_of]
         self._timestep_s = float(scene.model.opt.timestep)
         self.shape = (len(scene.body_ids), 1 + len(scene.object_ids))
 
@@ -51,13 +51,14 @@ class Contacts:
         count = np.where(size > 1, 2 * (size - 1), 1)
         summed = np.concatenate([[0.0], np.cumsum(data.efc_force)])
         force = np.where(held, summed[np.where(held, first + count, 0)] - summed[np.where(held, first, 0)], 0.0)
-        np.add.at(total_ns, (joints, columns), np.maximum(force, 0.0) * self._timestep_s)
-        return touching, total_ns
+        place = joints * self.shape[1] + columns
+        sums = np.bincount(place, np.maximum(force, 0.0) * self._timestep_s, minlength=total_ns.size)
+        return touching, np.asarray(sums, dtype=np.float64).reshape(self.shape)
 
     def _pairs(self, data: mujoco.MjData) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         """Joint, column and number of every contact between the character and something else."""
-        bodies = self._body_of[np.asarray(data.contact.geom).reshape(-1, 2)]
-        joints, columns = self._joint_of[bodies], self._column_of[bodies]
+        geoms = np.asarray(data.contact.geom).reshape(-1, 2)
+        joints, columns = self._joint_of[geoms], self._column_of[geoms]
         first = (joints[:, 0] >= 0) & (columns[:, 1] >= 0)
         second = (joints[:, 1] >= 0) & (columns[:, 0] >= 0)
         rows = np.flatnonzero(first | second)
