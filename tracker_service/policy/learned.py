@@ -104,6 +104,7 @@ class LearnedTracker:
             skeleton=self.card.skeleton,
             fps=TICK_HZ,
             action_spaces=(SERVO_TARGETS,),
+            characters=(self.card.character,),
         )
 
     def reset(self, character_ids: Sequence[str]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from shared.data.corpus import ClipInfo
 from shared.errors import InvalidInputError
+from shared.motion.characters import build
 from shared.protocol.rates import TICK_HZ
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.simulation.kinematics import BodyKinematics, qvel_from_qpos
@@ -76,6 +77,16 @@ def seat_in(clip: ClipInfo) -> tuple[float, float, float, float]:
     """Centre of the top and heading of the seat in a clip; out of the way where there is none."""
     seat = getattr(clip, "seat", None)
     return NO_SEAT if seat is None else (*seat.top_m, seat.heading_rad)
+
+
+def sized(motion: MotionInput, human: Humanoid) -> MotionInput:
+    """A motion of the canonical skeleton as a character has it, seat and all; for `human` it is the motion itself."""
+    own = build(human.character.name)
+    if own.world_scale == 1.0:
+        return motion
+    x, y, z = (float(v) for v in own.from_canonical(motion.seat[:3]))
+    seat = motion.seat if motion.seat == NO_SEAT else (x, y, z, motion.seat[3])
+    return replace(motion, positions_w_m=own.from_canonical(motion.positions_w_m), seat=seat)
 
 
 def smooth_stretches(root_w_m: npt.NDArray[np.floating]) -> list[tuple[int, int]]:

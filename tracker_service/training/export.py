@@ -12,13 +12,16 @@ import torch
 import typer
 from safetensors.numpy import save_file
 
-from tracker_service.simulation.character_spec import HUMAN
+from tracker_service.simulation.character_spec import HUMAN, Character
+from tracker_service.simulation.character_spec import character as character_named
 from tracker_service.training.env import EnvSettings
 from tracker_service.training.network import Normalizer
 
 
-def export_weights(checkpoint: Path, out: Path, card: dict[str, Any]) -> Path:
+def export_weights(checkpoint: Path, out: Path, card: dict[str, Any], character: Character = HUMAN) -> Path:
     """Write the averaged actor and its normaliser; `card` adds facts for people (command, commit, metrics).
+
+    `character` is whom it was trained with; it drives no other.
 
     Returns the path of the safetensors file; the card lies beside it as .json.
     """
@@ -39,8 +42,8 @@ def export_weights(checkpoint: Path, out: Path, card: dict[str, Any]) -> Path:
     samples, _, seconds = state["counters"]
     facts = {
         "version": hashlib.sha256(out.read_bytes()).hexdigest()[:12],
-        "skeleton": HUMAN.skeleton_id,
-        "character": HUMAN.name,
+        "skeleton": character.skeleton_id,
+        "character": character.name,
         "layers": len(numbers),
         "action_scale_rad": EnvSettings().action_scale_rad,
         "observation_clip": Normalizer(1).clip,
@@ -62,6 +65,7 @@ def main(
     corpus: Annotated[Path | None, typer.Option(help="names the data in the card")] = None,
     command: Annotated[str, typer.Option(help="the training command")] = "",
     commit: str = "",
+    character: Annotated[str, typer.Option(help="whom it was trained with")] = "human",
 ) -> None:
     """Export a checkpoint, with the last held-out evaluation of its log in the card."""
     card: dict[str, Any] = {"command": command, "commit": commit}
@@ -73,7 +77,7 @@ def main(
             card["metrics"] = judged[-1]
     if corpus is not None:
         card["data_manifest_sha256"] = hashlib.sha256((corpus / "manifest.json").read_bytes()).hexdigest()
-    typer.echo(str(export_weights(checkpoint, out, card)))
+    typer.echo(str(export_weights(checkpoint, out, card, character_named(character))))
 
 
 if __name__ == "__main__":

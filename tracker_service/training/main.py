@@ -16,6 +16,7 @@ import typer
 from shared.console import errors_for_people
 from shared.data.corpus import Corpus
 from tracker_service.simulation.character_spec import HUMAN
+from tracker_service.simulation.character_spec import character as character_named
 from tracker_service.simulation.humanoid import Humanoid, humanoid
 from tracker_service.training.dataset import (
     LARGEST_CHANGE_RAD,
@@ -26,6 +27,7 @@ from tracker_service.training.dataset import (
     load_bank,
     prepare_cached,
     seat_in,
+    sized,
 )
 from tracker_service.training.env import EnvSettings
 from tracker_service.training.ppo import PpoSettings
@@ -55,7 +57,8 @@ def references(
 
     corpus = Corpus.load(corpus_dir)
     clips = motions(corpus, split, mirrored=split == "train")
-    return prepare_cached(human or humanoid(HUMAN), clips, cache, progress, jobs)
+    human = human or humanoid(HUMAN)
+    return prepare_cached(human, [sized(clip, human) for clip in clips], cache, progress, jobs)
 
 
 def training_sets(
@@ -74,7 +77,7 @@ def training_sets(
     later = sum(banks.values())
     for bank, share in banks.items():
         later -= share
-        pieces = load_bank(bank)
+        pieces = [sized(piece, human) for piece in load_bank(bank)]
         kept, heldout = ([p for i, p in enumerate(pieces) if (i % HELDOUT_PIECE == 0) is out] for out in (False, True))
         # What comes later takes its part of this one too: in the end each has its share, the corpus what they leave.
         train_set = concatenated(train_set, prepare_cached(human, kept, cache, jobs=jobs), share / (1.0 - later))
@@ -86,7 +89,8 @@ def training_sets(
 def train(
     corpus: Path, out: Path, until_samples: int = 50_000_000, threads: int = 1, envs: int = 320, seed: int = 0,
     init: Path | None = None, focus: dict[str, float] | None = None, bank: Path | None = None,
-    bank_share: float = 0.5, kl_target: float | None = None, say: Callable[[str], None] = print,
+    bank_share: float = 0.5, kl_target: float | None = None, character: str = "human",
+    say: Callable[[str], None] = print,
 ) -> None:  # fmt: skip
     """Train until `until_samples` or SIGTERM/SIGINT, resuming from `out`/checkpoint.pt when there is one.
 
@@ -98,9 +102,10 @@ def train(
             held out and judged as behaviour `plan`.
         kl_target: how far an update may go; None for the default. Less makes the weights less noisy in the end.
         init: checkpoint to start from where `out` has none (weights and normaliser only).
+        character: of the registry; the corpus's motion is scaled to it.
     """
     torch.set_num_threads(threads)
-    human = humanoid(HUMAN)
+    human = humanoid(character_named(character))
     banks = {} if bank is None else {bank: bank_share}
     train_set, heldout_set = training_sets(human, corpus, out / "cache", focus or {}, banks, say, threads)
     stop = False
@@ -141,6 +146,7 @@ def main(
     bank: Annotated[Path | None, typer.Option(help="folder of plans made by `motionloop data bank`")] = None,
     bank_share: Annotated[float, typer.Option(min=0.01, max=0.99, help="of the sampling")] = 0.5,
     kl_target: Annotated[float | None, typer.Option(min=1e-4, help="size of an update")] = None,
+    character: Annotated[str, typer.Option(help="who is trained: human, child or heavy")] = "human",
 ) -> None:
     """Train the tracker with PPO; stops cleanly on SIGTERM and resumes where it stopped."""
 
@@ -148,7 +154,7 @@ def main(
         typer.echo(line)
 
     factors = {name: float(value) for name, value in (part.split("=") for part in focus.split(",") if part)}
-    train(corpus, out, until_samples, threads, envs, seed, init, factors, bank, bank_share, kl_target, say)
+    train(corpus, out, until_samples, threads, envs, seed, init, factors, bank, bank_share, kl_target, character, say)
 
 
 if __name__ == "__main__":

@@ -38,6 +38,7 @@ def train(
         threads: of physics and torch, at different times; before, so many processes prepare the references.
         focus: factors on the sampling weight of behaviours. banks: folders of recorded plans or ways up, with their
             shares of the sampling.
+        character: of the registry; the corpus's motion is scaled to it.
         init: shipped actor to start from where `out` has no checkpoint; critic and model beside it are taken too.
     """
     torch.set_num_threads(threads)
@@ -107,7 +108,7 @@ def main(
     bank: Annotated[list[str], typer.Option(help="FOLDER=SHARE: of `motionloop data bank` or ways up")] = [],  # noqa: B006
     settings: Annotated[str, typer.Option(help="numbers of WorldSettings as JSON")] = "{}",
     device: Annotated[str, typer.Option(help="cpu or cuda")] = "cpu",
-    character: str = "human",
+    character: Annotated[str, typer.Option(help="who is trained: human, child or heavy")] = "human",
     export: Annotated[Path | None, typer.Option(help="write the weights there at the end")] = None,
     card: Annotated[str, typer.Option(help="facts for the exported card, as JSON")] = "{}",
 ) -> None:
@@ -119,7 +120,9 @@ def main(
     )  # fmt: skip
     if export is not None:
         facts: dict[str, Any] = {"samples": trainer.samples, "training_hours": round(trainer.seconds / 3600, 3)}
-        typer.echo(str(export_learner(trainer.learner, export, {**facts, **json.loads(card)})))
+        typer.echo(
+            str(export_learner(trainer.learner, export, {**facts, **json.loads(card)}, character_named(character)))
+        )
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from safetensors.numpy import load, save_file
 from torch import Tensor, nn
 
 from shared.errors import InvalidInputError
-from tracker_service.simulation.character_spec import HUMAN
+from tracker_service.simulation.character_spec import HUMAN, Character
 from tracker_service.training.env import EnvSettings
 from tracker_service.training.world.imagination import OBSERVATION_CLIP
 from tracker_service.training.world.learner import Learner
@@ -40,11 +40,12 @@ def _half(tensors: dict[str, Tensor]) -> Tensors:
     return {name: t.detach().cpu().numpy().astype(np.float16) for name, t in tensors.items()}
 
 
-def export_learner(learner: Learner, out: Path, card: dict[str, Any]) -> Path:
+def export_learner(learner: Learner, out: Path, card: dict[str, Any], character: Character = HUMAN) -> Path:
     """Write the averaged actor with its normaliser and card, and critic and model beside it; the actor's path.
 
     Args:
         card: facts for people: samples, hours, command, commit, metrics.
+        character: whom it was trained with; it drives no other.
     """
     actor = _half(_linear(learner.averaged))
     sight = {"mean": learner.sight.mean.cpu().numpy(), "std": learner.sight.std.cpu().numpy()}
@@ -58,8 +59,8 @@ def export_learner(learner: Learner, out: Path, card: dict[str, Any]) -> Path:
         path.chmod(0o644)
     facts = {
         "version": hashlib.sha256(out.read_bytes()).hexdigest()[:12],
-        "skeleton": HUMAN.skeleton_id,
-        "character": HUMAN.name,
+        "skeleton": character.skeleton_id,
+        "character": character.name,
         "layers": len(actor) // 2,
         "action_scale_rad": EnvSettings().action_scale_rad,
         "observation_clip": OBSERVATION_CLIP,
