@@ -53,8 +53,9 @@ test-page: setup ## drive the live page in headless Chromium against the three s
 	$(BIN)/python -m tests.page.browser
 	$(BIN)/python -m pytest tests/page -m page $(ARGS)
 
-chaos: setup ## 200 faults over running episodes (about half an hour); FAULTS sets how many; leaves out/chaos.json
+chaos: setup ## 200 faults over running episodes (about half an hour); FAULTS sets how many; leaves out/chaos.json and out/kills.json
 	$(BIN)/python -m tests.chaos.run --faults $(FAULTS) --seed $(SEED) --json $(OUT)/chaos.json $(ARGS)
+	$(BIN)/python -m tests.chaos.kills --seed $(SEED) --json $(OUT)/kills.json
 
 check: setup ## ruff, mypy --strict, import-linter
 	$(BIN)/ruff check .

@@ -13,12 +13,11 @@ import numpy as np
 
 GIVE_UP_S = 180.0
 LOOK_S = 0.1
-RUNNING = 3
 TASKS: list[dict[str, Any]] = [{"type": "halt", "duration_s": 20}, {"type": "text", "text": "a person stands."}] * 30
 SPECS: tuple[dict[str, Any], ...] = (
-    {"pacing": "realtime", "tracker": "kinematic"},
-    {"pacing": "realtime", "tracker": "pd"},
-    {"pacing": "lockstep", "tracker": "kinematic"},
+    {"pacing": "realtime", "tracker": "kinematic", "tasks": TASKS},
+    {"pacing": "realtime", "tracker": "pd", "tasks": TASKS},
+    {"pacing": "lockstep", "tracker": "kinematic", "tasks": TASKS},
 )
 SPARE_TICKS = 31
 """By the clock some ticks pass before an end is noticed: a recording may hold them."""
@@ -46,11 +45,13 @@ class Arena:
 
     Attributes:
         http: of the orchestrator.
+        specs: of the episodes, one of each at any time.
         running: specs by id.
         ended: those that are over.
     """
 
     http: httpx.Client
+    specs: tuple[dict[str, Any], ...] = SPECS
     running: dict[str, dict[str, Any]] = field(default_factory=dict)
     ended: list[Ended] = field(default_factory=list)
     started: int = 0
@@ -64,9 +65,9 @@ class Arena:
 
     def fill(self) -> None:
         """Have as many episodes running as there should be."""
-        wanted = [s for s in SPECS if s not in self.running.values()][: RUNNING - len(self.running)]
+        wanted = [spec for spec in self.specs if spec not in self.running.values()]
         for spec in wanted:
-            answer = self.ask("POST", "/v1/episodes", {**spec, "tasks": TASKS, "seed": self.started})
+            answer = self.ask("POST", "/v1/episodes", {**spec, "seed": self.started})
             if answer is not None and answer.status_code == 201:
                 self.running[answer.json()["id"]] = spec
                 self.started += 1

@@ -76,7 +76,7 @@ class _Watch:
     """Looks at the episodes by the clock, and tells of those whose tick did not move for a while."""
 
     def __init__(self, scene: Scene):
-        self._arena = Arena(scene.arena.http, dict(scene.arena.running))
+        self._arena = Arena(scene.arena.http, running=dict(scene.arena.running))
         self._first: dict[str, tuple[float, int]] = {}
         self._still: set[str] = set()
         self._over = threading.Event()
