@@ -26,13 +26,14 @@ PELVIS = CANONICAL.index("pelvis")
 FRONT_M = 0.35
 """Nearer than this to the place before the seat it turns round."""
 FACING_RAD = 0.6
-FROM_EDGE_M = 0.2
-"""So far behind the seat's edge the pelvis is put: as far as in the motion that sits and rises are learnt from."""
+FROM_EDGE_M = 0.25
+"""So far behind the seat's edge the pelvis is put: a little more than in the motion that sits and rises are learnt
+from (0.2 m), where the seat ends behind the body and nobody slides off its front."""
 ELBOW_ROOM_M = 0.3
 ON_IT_M, SEATED_M = 0.15, 0.08
 """A pelvis less than this above where it should be is on the seat, and sits."""
 SEATED_TEXT = "a person is sitting."
-SIT_S, TRY_S = 1.6, 6.0
+SIT_S, TRY_S = 2.0, 6.0
 """How long sitting down takes; after so long without a seat under it, it begins anew."""
 LOW_SHARE = 0.75
 """A pelvis below this share of its standing height sits or lies."""
@@ -197,6 +198,7 @@ class GetUpTask(Task):
         self._was_low = False
         self._approach = Approach("pelvis", RISE)
         self._stand = HaltTask(HaltSpec(guidance=spec.guidance))
+        self._walk = Walk(spec.guidance)
 
     @property
     def label(self) -> str:
@@ -263,7 +265,9 @@ class GetUpTask(Task):
         pelvis, target = view.pos_w_m[PELVIS], self.target_w_m
         if float(np.linalg.norm(pelvis - target)) < 0.2 * view.scale:
             return self._stand.goal(view, plan_tick)
-        if self._spec.from_ == "seat" and pelvis[2] < UP_SHARE * target[2]:
+        if self._spec.from_ == "seat":
+            if pelvis[2] >= UP_SHARE * target[2]:
+                return self._walk.goal(view, target[:2], plan_tick)
             target = np.array([*view.pos_w_m[SOLES, :2].mean(axis=0), target[2]])
         aim = self._approach.target(pelvis, target, plan_tick, view.scale)
         heading = None
