@@ -37,9 +37,9 @@ HAND_M = 1.3
 """A fist lands so high where the object is tall enough: the same blow topples more the higher it lands."""
 THROUGH_M = {"hand": 0.15, "foot": 0.05}
 """The limb is sent so far beyond the mark: it is to go through the object, not to stop at it."""
-PUSH_M = 0.5
+PUSH_M = 0.9
 PUSH_S = 1.6
-PUSH_ARRIVES_S = 0.9
+PUSH_ARRIVES_S = 1.0
 """After the blow the body goes on into the object for a while, a hand so far beyond where the mark was."""
 PUSH_TEXT = "a person steps forward and punches."
 TOUCHED_M, TOUCHED_RAD = 0.015, 0.02

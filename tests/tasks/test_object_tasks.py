@@ -66,14 +66,14 @@ def test_what_was_hit_is_gone_through_until_it_goes_down(limb: str) -> None:
     task.goal(view("bag", 1.1), 0)
     arrivals = set()
     for tick, lean in ((15, 0.05), (30, 0.2)):
-        hit = leaning_bag(view("bag", 1.4, tick=tick), lean)
+        hit = leaning_bag(view("bag", 1.75, tick=tick), lean)
         goal = task.goal(hit, tick)
         (target,) = goal.targets
         assert target.joint == f"{limb.split('_')[0]}_wrist"
-        assert target.position_w_m == pytest.approx((2.5, 0.0, 1.3))
+        assert target.position_w_m == pytest.approx((2.9, 0.0, 1.3))
         assert "steps forward" in str(goal.text)
         arrivals.add(target.arrival_tick)
-    assert arrivals == {15 + 27}
+    assert arrivals == {15 + 30}
     assert task.goal(leaning_bag(view("bag", 1.3, tick=45), 0.5), 45).text == STAND_TEXT
     # One that rocks back is hit again; what the limb feels counts though nothing moves.
     assert task.goal(view("bag", 1.1, tick=80), 80).targets[0].arrival_tick > 80 + 15
