@@ -50,23 +50,30 @@ def test_the_command_line_works_without_the_servers_packages(arguments: list[str
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_the_wheel_alone_gives_the_client(tmp_path: Path) -> None:
-    """Built, installed into an empty environment without extras (needs a package index), and called."""
+    """Built, installed into an empty environment without extras (needs a package index), and called.
+
+    Without PYTHONPATH: on it the checkout would be found, by pip as installed already and by Python before the wheel.
+    """
+    alone = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     wheels = tmp_path / "wheels"
     pip = [sys.executable, "-m", "pip", "-q", "--disable-pip-version-check"]
-    subprocess.run([*pip, "wheel", str(REPO), "--no-deps", "-w", str(wheels)], check=True)
+    subprocess.run([*pip, "wheel", str(REPO), "--no-deps", "-w", str(wheels)], check=True, env=alone)
     (wheel,) = wheels.glob("*.whl")
     assert wheel.stat().st_size < 40 * 2**20
-    subprocess.run([sys.executable, "-m", "venv", str(tmp_path / "env")], check=True)
+    subprocess.run([sys.executable, "-m", "venv", str(tmp_path / "env")], check=True, env=alone)
     python = tmp_path / "env" / "bin" / "python"
-    subprocess.run([python, "-m", "pip", "-q", "install", str(wheel), "-c", str(REPO / "constraints.txt")], check=True)
-    listed = subprocess.run([python, "-m", "pip", "list"], capture_output=True, text=True, check=True).stdout.lower()
+    install = [python, "-m", "pip", "-q", "install", str(wheel), "-c", str(REPO / "constraints.txt")]
+    subprocess.run(install, check=True, env=alone)
+    list_all = [python, "-m", "pip", "list"]
+    listed = subprocess.run(list_all, capture_output=True, text=True, check=True, env=alone).stdout.lower()
+    assert "\nmotionloop " in listed
     for package in ("torch", "mujoco", "fastapi", "uvicorn", "scipy"):
         assert f"\n{package} " not in listed
     use = "from motionloop import AsyncClient, Client; print(Client().address.url)"
-    done = subprocess.run([python, "-c", use], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = subprocess.run([python, "-c", use], cwd=tmp_path, capture_output=True, text=True, check=False, env=alone)
     assert done.stdout.startswith("http://"), done.stderr
     said = subprocess.run(
         [tmp_path / "env" / "bin" / "motionloop", "say", "walk", "--url", "http://127.0.0.1:1"],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
+        cwd=tmp_path, capture_output=True, text=True, check=False, env=alone,
     )  # fmt: skip
     assert (said.returncode, "no server" in said.stderr) == (1, True), said.stderr
