@@ -64,8 +64,9 @@ def context(browser: Browser, http: httpx.Client) -> Iterator[BrowserContext]:
 
 
 @pytest.fixture
-def page(context: BrowserContext, stack: Stack) -> Page:
-    """The page, showing a character of its own that runs by the clock."""
+def page(context: BrowserContext, stack: Stack, http: httpx.Client) -> Page:
+    """The page, showing a character of its own that runs by the clock, alone on a floor."""
+    http.post("/v1/characters", json={"pacing": "realtime"}).raise_for_status()
     page = context.new_page()
     page.goto(stack.url)
     ready(page)

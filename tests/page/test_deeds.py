@@ -30,11 +30,30 @@ def room(context: BrowserContext, http: httpx.Client, stack: Stack) -> Page:
     return page
 
 
+def seen(page: Page, place: str) -> dict[str, float]:
+    """The pixel of a point of the world, an expression over `m`."""
+    return dict(look(page, f"m.screenOf({place})"))
+
+
 def tasks_of(http: httpx.Client, page: Page) -> list[dict[str, Any]]:
     """The tasks as the page lists them, once it watches an episode."""
     episode = until(page, "m.view.watching.kind === 'episode' && m.view.agenda.length > 0 && m.view.watching.id")
     spec = http.get(f"/v1/episodes/{episode}").json()["spec"]
     return list(spec["tasks"])
+
+
+def test_who_comes_first_finds_a_bag_and_a_sofa(context: BrowserContext, http: httpx.Client, stack: Stack) -> None:
+    page = context.new_page()
+    page.goto(stack.url)
+    ready(page)
+    until(page, "Object.keys(m.drawn_objects).length === 2")
+    hold_view(page)
+    for place in (BAG, SOFA):
+        assert page.evaluate("(place) => document.elementFromPoint(place.x, place.y)?.id", seen(page, place)) == "view"
+    (character,) = http.get("/v1/characters").json()["items"]
+    assert (character["scene"], character["pacing"]) == ("room", "realtime")
+    for name in ("Hit the bag", "Sit on the sofa"):
+        page.get_by_role("button", name=name).wait_for()
 
 
 def test_a_clicked_bag_is_hit_and_a_clicked_sofa_sat_upon(room: Page, http: httpx.Client) -> None:

@@ -62,7 +62,7 @@ def test_a_click_on_the_floor_is_a_target_and_it_is_reached(page: Page) -> None:
     assert target["joint"] == "traj"
     assert dist(target["position_m"], (0.6, 0.9, 0.0)) < 0.05
     until(page, "Math.hypot(m.pelvis_m[0] - a[0], m.pelvis_m[1] - a[1]) <= 0.3", target["position_m"])
-    page.get_by_text("reached").wait_for()
+    page.locator("#fact-target").get_by_text("reached").wait_for()
 
 
 def test_a_clicked_hand_gets_the_next_target(page: Page) -> None:

@@ -10,6 +10,7 @@ const KEPT_EVENTS = 800;
 const WINDOW_MS = 3000;
 const STAND = { text: "a person is standing still." };
 const NEWS_S = 5;
+const FIRST = { scene: "room", seed: 1 }; // a bag to hit and a sofa to sit on
 
 /** Finds, makes and watches characters and episodes. */
 export class Session {
@@ -32,7 +33,7 @@ export class Session {
     const wanted = kind === "character" ? id : localStorage.getItem(KEY);
     const alive = items.filter((item) => item.status !== "failed");
     const found = items.find((item) => item.id === wanted) ?? alive.findLast((item) => item.pacing === "realtime");
-    if (found === undefined) await this.create({});
+    if (found === undefined) await this.create(FIRST);
     else this.watch({ kind: "character", id: found.id }, found);
   }
 
