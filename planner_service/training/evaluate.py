@@ -174,9 +174,13 @@ def evaluate(
 def _heldout(
     folder: Path | None, cache: Path | None, evaluator: Evaluator, planner: Planner, seed: int, pairs: int | None
 ) -> Heldout:
-    corpus = cached_corpus() if folder is None else Corpus.load(folder)
+    corpus = cached_corpus(_told) if folder is None else Corpus.load(folder)
     material = load_material(corpus, "heldout", planner.spec.prefix_frames + planner.spec.plan_frames, cache)
     return Heldout.of(material, evaluator, planner.spec.prefix_frames, seed, pairs)
+
+
+def _told(stage: str, share: float) -> None:
+    typer.echo(f"building the corpus: {stage} {100 * share:.0f} %", err=True)
 
 
 def _cpu() -> str:
