@@ -11,9 +11,9 @@ from pydantic import BaseModel
 from orchestrator.api.deps import Core
 from orchestrator.api.problems import RESPONSES
 from orchestrator.core.command import JOINTS
+from orchestrator.rest import Point
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import TICK_HZ
-from shared.protocol.rest import Point
 from shared.scenes.schema import Scene
 from shared.tasks.factory import KINDS
 

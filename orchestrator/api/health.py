@@ -7,9 +7,9 @@ import time
 
 from orchestrator.core.manager import Orchestrator
 from orchestrator.core.services import Slot
+from orchestrator.rest import ServiceHealth, ServicesHealth
 from shared.errors import MotionLoopError
 from shared.protocol.control import Health, HealthReport
-from shared.protocol.rest import ServiceHealth, ServicesHealth
 
 ASK_TIMEOUT_S = 2.0
 FRESH_S = 1.0

@@ -15,7 +15,7 @@ from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from orchestrator.api.problems import problem_response
-from shared.protocol.rest import Problem
+from orchestrator.rest import Problem
 from shared.protocol.security import is_loopback
 
 FORBIDDEN = 403

@@ -13,7 +13,7 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from orchestrator.api.problems import problem_response
-from shared.protocol.rest import Problem
+from orchestrator.rest import Problem
 
 KEPT_CALLERS = 4096
 BURST_S = 2.0

@@ -9,7 +9,7 @@ from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamil
 from prometheus_client.registry import Collector
 
 from orchestrator.core.manager import Orchestrator
-from shared.protocol.rest import Event
+from orchestrator.rest import Event
 from shared.telemetry import SECONDS
 
 LOST = ("degraded", "planner_lost")

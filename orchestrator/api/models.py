@@ -11,11 +11,11 @@ from orchestrator.core.character import CharacterSession
 from orchestrator.core.command import Command
 from orchestrator.core.episode import EpisodeOutcome, EpisodeSpec
 from orchestrator.core.scenes import name_of
+from orchestrator.rest import CharacterFields, CommandReading, EpisodeFields, StateFields
 from shared.motion.heading import hips_heading
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.base import Name
 from shared.protocol.messages import StateFrame
-from shared.protocol.rest import CharacterFields, CommandReading, EpisodeFields, StateFields
 from shared.tasks.factory import TaskSpec
 
 MAX_IMPULSE_NS = 500.0

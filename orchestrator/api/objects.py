@@ -9,9 +9,9 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
 from orchestrator.api.deps import CharacterId, Core, EpisodeId
 from orchestrator.api.problems import RESPONSES
+from orchestrator.rest import ObjectState
 from shared.errors import InvalidInputError, NotFoundError
 from shared.protocol.messages import SetObject, StateFrame
-from shared.protocol.rest import ObjectState
 from shared.scenes.schema import Scene
 
 router = APIRouter(prefix="/v1", tags=["objects"], responses=RESPONSES)

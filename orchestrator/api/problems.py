@@ -9,8 +9,8 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
+from orchestrator.rest import InvalidField, Problem
 from shared.errors import MotionLoopError
-from shared.protocol.rest import InvalidField, Problem
 
 STATUS = {
     "invalid_input": 422,

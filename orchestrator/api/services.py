@@ -15,9 +15,9 @@ from orchestrator.api.metrics import OrchestratorMetrics
 from orchestrator.api.models import HealthBody, SwapBody
 from orchestrator.api.problems import RESPONSES, problem_response
 from orchestrator.api.settings import OrchestratorSettings
+from orchestrator.rest import Problem, ServiceInfo, ServicesHealth, ServicesInfo
 from shared.errors import MotionLoopError
 from shared.protocol.control import Health, HealthReport
-from shared.protocol.rest import Problem, ServiceInfo, ServicesHealth, ServicesInfo
 
 router = APIRouter(prefix="/v1/services", tags=["services"], responses=RESPONSES)
 health_router = APIRouter(tags=["health"])

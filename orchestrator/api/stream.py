@@ -26,12 +26,12 @@ from orchestrator.core.events import EventLog
 from orchestrator.core.fanout import Fanout
 from orchestrator.core.loop import CharacterLoop
 from orchestrator.core.manager import Orchestrator
+from orchestrator.rest import Event
 from shared.errors import NotFoundError
 from shared.motion.kinematics import forward_kinematics
 from shared.motion.rotations import matrix_from_6d, quat_from_matrix
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import Plan, StateFrame
-from shared.protocol.rest import Event
 
 router = APIRouter(tags=["streams"])
 

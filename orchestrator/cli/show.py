@@ -8,8 +8,8 @@ from rich.console import Console
 from rich.table import Table
 
 from orchestrator.client import EpisodeInfo, Event
+from orchestrator.rest import CommandReading
 from shared.protocol.rates import TICK_HZ
-from shared.protocol.rest import CommandReading
 
 
 class Follower:

@@ -17,8 +17,8 @@ from rich.text import Text
 from orchestrator.cli.common import JsonFile, Token, Url, client, console
 from orchestrator.client import CharacterInfo, Client, EpisodeInfo
 from orchestrator.client.calls import DEFAULT_URL
+from orchestrator.rest import ServiceHealth, ServicesHealth
 from shared.protocol.rates import TICK_HZ
-from shared.protocol.rest import ServiceHealth, ServicesHealth
 
 SHOWN = 40
 """Rows of characters and of episodes; more are counted only."""

@@ -7,7 +7,7 @@ from orchestrator.client.errors import ServerProblem
 from orchestrator.client.models import CharacterInfo, EpisodeInfo, PlanGhost, State
 from orchestrator.client.motion import Motion
 from orchestrator.client.sync import Character, Client, Episode
-from shared.protocol.rest import Event, ObjectState, ServiceInfo, ServicesInfo, TaskResult
+from orchestrator.rest import Event, ObjectState, ServiceInfo, ServicesInfo, TaskResult
 
 __all__ = [
     "AsyncCharacter",

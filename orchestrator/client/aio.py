@@ -21,8 +21,8 @@ from orchestrator.client.errors import ServerProblem, no_connection, problem_of,
 from orchestrator.client.models import CharacterInfo, CommandTaken, EpisodeInfo, PlanGhost, State, event_of, message_of
 from orchestrator.client.motion import Motion
 from orchestrator.client.sync import QUIET_S
+from orchestrator.rest import Event, ObjectState, ServiceInfo, ServicesHealth, ServicesInfo
 from shared.errors import ConflictError, DeadlineError, MotionLoopError
-from shared.protocol.rest import Event, ObjectState, ServiceInfo, ServicesHealth, ServicesInfo
 
 T = TypeVar("T")
 

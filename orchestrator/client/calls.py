@@ -14,8 +14,8 @@ from pydantic import BaseModel, ValidationError
 
 from orchestrator.client.models import CharacterInfo, CommandTaken, EpisodeInfo, State
 from orchestrator.client.motion import Motion
+from orchestrator.rest import ObjectState, ServiceInfo, ServicesHealth, ServicesInfo, StateFields
 from shared.errors import InvalidInputError, MalformedMessageError
-from shared.protocol.rest import ObjectState, ServiceInfo, ServicesHealth, ServicesInfo, StateFields
 from shared.protocol.security import is_loopback
 
 T = TypeVar("T")

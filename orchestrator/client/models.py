@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, ValidationError
 
+from orchestrator.rest import CharacterFields, CommandReading, EpisodeFields, Event, StateFields
 from shared.errors import InvalidInputError, MalformedMessageError
-from shared.protocol.rest import CharacterFields, CommandReading, EpisodeFields, Event, StateFields
 
 Array = npt.NDArray[np.float64]
 

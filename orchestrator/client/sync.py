@@ -19,8 +19,8 @@ from orchestrator.client.calls import Address, Call, CharacterOptions, CommandOp
 from orchestrator.client.errors import ServerProblem, no_connection, problem_of, usable_proxies
 from orchestrator.client.models import CharacterInfo, CommandTaken, EpisodeInfo, PlanGhost, State, event_of, message_of
 from orchestrator.client.motion import Motion
+from orchestrator.rest import Event, ObjectState, ServiceInfo, ServicesHealth, ServicesInfo
 from shared.errors import ConflictError, DeadlineError, MotionLoopError
-from shared.protocol.rest import Event, ObjectState, ServiceInfo, ServicesHealth, ServicesInfo
 
 T = TypeVar("T")
 QUIET_S = 120.0

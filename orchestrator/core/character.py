@@ -21,6 +21,7 @@ from orchestrator.core.services import Services
 from orchestrator.core.session import Session
 from orchestrator.core.settings import LoopSettings
 from orchestrator.core.steps import SteppedGoal
+from orchestrator.rest import CommandReading
 from shared.errors import ConflictError, InvalidInputError, MotionLoopError, NotFoundError, TransportError
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.base import Name
@@ -34,7 +35,6 @@ from shared.protocol.messages import (
     StateFrame,
     Vec3,
 )
-from shared.protocol.rest import CommandReading
 from shared.scenes.schema import Scene
 from shared.tasks.interface import BodyView, PlanGoal
 from shared.tracing import current_trace

@@ -28,10 +28,10 @@ from orchestrator.core.scenes import SceneChoice
 from orchestrator.core.services import Services
 from orchestrator.core.session import Session
 from orchestrator.core.settings import LoopSettings
+from orchestrator.rest import TaskResult
 from shared.errors import ConflictError, MotionLoopError, NotFoundError, TransportError
 from shared.protocol.base import Name
 from shared.protocol.messages import TICK_HZ, Pacing, Seed, SetObject, StateFrame
-from shared.protocol.rest import TaskResult
 from shared.tasks.factory import TaskSpec
 from shared.tasks.interface import BodyView, PlanGoal, Trace, Verdict
 from shared.tasks.rules import SAFE_TICKS

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import AsyncIterator, Callable, Sequence
 from typing import Any
 
-from shared.protocol.rest import Event
+from orchestrator.rest import Event
 
 KEPT_EVENTS = 2000
 QUEUED_EVENTS = 256

@@ -10,8 +10,8 @@ from pydantic import BaseModel, ConfigDict
 
 from orchestrator.core.machine import Phase
 from orchestrator.core.performing import PerformingState
+from orchestrator.rest import TaskResult
 from shared.protocol.messages import LOG_HZ, TICK_HZ, Snapshot
-from shared.protocol.rest import TaskResult
 from shared.tasks.factory import TaskSpec
 
 SAMPLES_A_TICK = LOG_HZ // TICK_HZ

@@ -17,6 +17,7 @@ from orchestrator.core.loop import trace_from
 from orchestrator.core.services import Services, Slot
 from orchestrator.core.swap import check_drives, check_spec, swap
 from orchestrator.core.tape import Tape
+from orchestrator.rest import Event
 from orchestrator.store.interface import Store, StoreReader
 from orchestrator.store.recordings import RecordingFiles, write_atomically
 from orchestrator.store.resume import from_bytes
@@ -24,7 +25,6 @@ from shared.errors import ConflictError, InvalidInputError, MotionLoopError, Not
 from shared.motion.characters import build
 from shared.protocol.control import Ok
 from shared.protocol.messages import CloseCharacter, Render, Video
-from shared.protocol.rest import Event
 from shared.protocol.security import CurveKeys
 from shared.protocol.transport import Kind
 from shared.scenes.schema import Scene

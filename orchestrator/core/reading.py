@@ -6,10 +6,10 @@ from collections import OrderedDict
 
 from orchestrator.core.command import Command
 from orchestrator.core.services import Slot
+from orchestrator.rest import CommandReading, NearestSentence
 from shared.errors import MotionLoopError
 from shared.plugins.interfaces import PlannerSpec
 from shared.protocol.messages import ReadText, TextRead
-from shared.protocol.rest import CommandReading, NearestSentence
 from shared.text.wording import Wording
 
 ASK_S = 1.0

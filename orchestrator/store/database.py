@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.core.episode import EpisodeOutcome, EpisodeSpec
+from orchestrator.rest import Event
 from shared.errors import NotFoundError
-from shared.protocol.rest import Event
 
 log = logging.getLogger(__name__)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, ParamSpec, Protocol, TypeVar
 
 from orchestrator.core.episode import EpisodeOutcome, EpisodeSpec
-from shared.protocol.rest import Event
+from orchestrator.rest import Event
 
 P = ParamSpec("P")
 T = TypeVar("T")

@@ -15,8 +15,8 @@ import pytest
 
 from orchestrator.client import Client
 from orchestrator.core.supervise import ServiceProcess, Stack
+from orchestrator.rest import Event
 from orchestrator.store.recordings import from_npz
-from shared.protocol.rest import Event
 from tests.orchestrator.support import arrays_of, kept_up, light, play
 from tests.orchestrator.test_faults import LONG, wait_for
 from tests.orchestrator.test_moving import hosted

@@ -14,6 +14,7 @@ import pytest
 
 from orchestrator.core.episode import EpisodeOutcome, EpisodeSpec
 from orchestrator.export.formats import to_bvh, to_csv
+from orchestrator.rest import Event
 from orchestrator.store.database import SqliteStore
 from orchestrator.store.interface import Store, StoreReader
 from orchestrator.store.recordings import Recording, RecordingFiles, from_npz, to_npz
@@ -21,7 +22,6 @@ from shared.errors import NotFoundError
 from shared.motion.ik import standing_clip
 from shared.motion.io.bvh import read_bvh
 from shared.protocol.messages import TickRange
-from shared.protocol.rest import Event
 from shared.tasks.specs import HaltSpec
 
 SPEC = EpisodeSpec(tasks=[HaltSpec()])

@@ -19,11 +19,11 @@ from websockets.sync.client import ClientConnection, connect
 from orchestrator.api.binary import pack, unpack
 from orchestrator.api.stream import STATES_UNDER_WAY, first_event
 from orchestrator.core.supervise import Stack
+from orchestrator.rest import Event
 from orchestrator.web import STATIC, VENDOR_FILES, missing_vendor_files
 from orchestrator.web.fetch_three import install, is_current
 from shared.errors import MalformedMessageError, UnavailableError
 from shared.motion.skeleton import CANONICAL
-from shared.protocol.rest import Event
 from tests.orchestrator.support import play
 from tests.page.support import page_stack
 
