@@ -11,6 +11,10 @@ from pathlib import Path
 
 for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+# Settings of whoever runs the tests are not those of the services in them.
+FOR_TESTS = ("MOTIONLOOP_MOCAP", "MOTIONLOOP_FUZZ", "MOTIONLOOP_CHROMIUM")
+for _name in [name for name in os.environ if name.startswith("MOTIONLOOP_") and name not in FOR_TESTS]:
+    del os.environ[_name]
 # Every process that a test starts inherits this mark, so that even an orphan is found at the end.
 os.environ["MOTIONLOOP_TEST_MARK"] = uuid.uuid4().hex
 
