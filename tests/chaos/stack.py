@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import tempfile
 from dataclasses import replace
@@ -78,6 +79,7 @@ class ChaoticStack(Stack):
         for link in self.links.values():
             link.close()
         self.links = {}
+        shutil.rmtree(self._orders.parent, ignore_errors=True)
 
     def _planner(self, endpoint: str) -> ServiceProcess:
         command = [sys.executable, "-m", "tests.chaos.mischief", "--endpoint", endpoint, "--file", str(self._orders)]
