@@ -151,9 +151,10 @@ class RecordingFiles:
         """Keep what a running episode is taken up from after a restart; then gather small parts into larger ones."""
         self._parts(episode_id).mkdir(exist_ok=True)
         write_atomically(self._parts(episode_id) / RESUME, data)
-        small = [(start, count) for start, count in self._spans(episode_id) if count < LARGE_TICKS]
-        if sum(count for _, count in small) >= LARGE_TICKS:
-            self._gather(episode_id, small)
+        spans = self._spans(episode_id)
+        large = max((i + 1 for i, (_, count) in enumerate(spans) if count >= LARGE_TICKS), default=0)
+        if sum(count for _, count in spans[large:]) >= LARGE_TICKS:
+            self._gather(episode_id, spans[large:])
 
     def resume(self, episode_id: str) -> bytes | None:
         """What `add_resume` has kept; None where nothing is."""
@@ -214,19 +215,17 @@ class RecordingFiles:
         return self._folder / f"{episode_id}.parts"
 
     def _spans(self, episode_id: str) -> list[tuple[int, int]]:
-        """First tick and number of ticks of the parts, in order; of those that begin together the longest first."""
+        """First tick and number of ticks of the parts, in order. Not of those that are in a larger one, which a kill
+        leaves while parts are gathered."""
         names = (file.stem.partition("-") for file in self._parts(episode_id).glob("*.npz"))
-        return sorted(((int(start), int(count)) for start, _, count in names), key=lambda span: (span[0], -span[1]))
+        out: list[tuple[int, int]] = []
+        for start, count in sorted(((int(a), int(b)) for a, _, b in names), key=lambda span: (span[0], -span[1])):
+            if not out or start >= sum(out[-1]):
+                out.append((start, count))
+        return out
 
     def _read_parts(self, episode_id: str) -> list[Recording]:
-        """The parts that follow one another; a kill while they were gathered leaves some that are in a larger one."""
-        out: list[Recording] = []
-        reached = 0
-        for start, count in self._spans(episode_id):
-            if start >= reached:
-                out.append(from_npz(self._parts(episode_id) / _part_name(start, count)))
-                reached = start + count
-        return out
+        return [from_npz(self._parts(episode_id) / _part_name(*span)) for span in self._spans(episode_id)]
 
     def _gather(self, episode_id: str, spans: list[tuple[int, int]]) -> None:
         files = [self._parts(episode_id) / _part_name(*span) for span in spans]

@@ -17,7 +17,7 @@ from orchestrator.export.formats import to_bvh, to_csv
 from orchestrator.rest import Event
 from orchestrator.store.database import SqliteStore
 from orchestrator.store.interface import Store, StoreReader
-from orchestrator.store.recordings import Recording, RecordingFiles, from_npz, to_npz
+from orchestrator.store.recordings import LARGE_TICKS, Recording, RecordingFiles, from_npz, to_npz
 from shared.errors import NotFoundError
 from shared.motion.ik import standing_clip
 from shared.motion.io.bvh import read_bvh
@@ -72,6 +72,50 @@ def test_after_a_kill_running_episodes_are_interrupted_with_all_recorded_ticks(t
     assert len(files.load("e1")) == 60
     assert files.unfinished() == []
     store.close()
+
+
+@pytest.mark.parametrize("lengths", [[400] * 5, [100, 700, 100, 900, 300, 300, 10], [650], [1] * 3 + [600] + [599, 1]])
+def test_parts_of_any_length_are_gathered_and_none_is_lost(tmp_path: Path, lengths: list[int]) -> None:
+    files = RecordingFiles(tmp_path)
+    at = 0
+    for length in lengths:
+        files.add_part("e", Recording.of(ticks(at, length)))
+        files.add_resume("e", b"state")
+        at += length
+        assert len(files.recorded("e", at - 1)) == at
+    assert len(lengths) == 1 or len(list((tmp_path / "e.parts").glob("*.npz"))) < len(lengths)
+        n < LARGE_TICKS for n in lengths
+    )
+    files.finish("e")
+    assert len(files.load("e")) == at
+
+
+def test_a_kill_while_parts_are_gathered_costs_nothing(tmp_path: Path) -> None:
+    files, folder = RecordingFiles(tmp_path), tmp_path / "e.parts"
+    for start in (0, 250, 500):
+        files.add_part("e", Recording.of(ticks(start, 250)))
+    small = {file.name: file.read_bytes() for file in folder.glob("*.npz")}
+    files.add_resume("e", b"state")
+    assert len(list(folder.glob("*.npz"))) == 1
+    for name, data in small.items():  # as if it had been killed before they were removed
+        (folder / name).write_bytes(data)
+    for start in (750, 1000, 1250):
+        files.add_part("e", Recording.of(ticks(start, 250)))
+        files.add_resume("e", b"state")
+    assert len(files.recorded("e", 1499)) == 1500
+    files.finish("e")
+    assert len(files.load("e")) == 1500
+
+
+def test_what_is_newer_than_the_state_to_go_on_from_is_dropped(tmp_path: Path) -> None:
+    files = RecordingFiles(tmp_path)
+    files.add_part("e", Recording.of(ticks(0, 40)))
+    files.add_resume("e", b"state at 39")
+    files.add_part("e", Recording.of(ticks(40, 20)))
+    assert len(files.recorded("e", 39)) == 40
+    assert files.resume("e") == b"state at 39"
+    with pytest.raises(NotFoundError, match="not all of the ticks"):
+        files.recorded("e", 59)
 
 
 def test_episodes_are_filtered_paged_and_deleted(tmp_path: Path) -> None:
