@@ -56,7 +56,7 @@ def paper_sized(small: DipWeights, seed: int) -> DipWeights:
 
 def largest_difference_m(weights: DipWeights, encoder: TextEncoder, settings: DipSettings) -> float:
     """Between a plan of a network run plainly and as in use, both in float32, over all joints and frames."""
-    exact = settings.model_copy(update={"bf16": False, "steps": None})
+    exact = settings.model_copy(update={"bf16": False, "steps": weights.network.config.steps})
     plain = DipPlanner(weights, encoder, exact, dip=PlainDip(weights.network))
     used = DipPlanner(weights, encoder, exact)
     one, other = (each.plan([request(each)])[0].positions_w_m.astype(np.float64) for each in (plain, used))

@@ -21,7 +21,7 @@ from planner_service.dip.diffusion import cosine_schedule, respaced, sample, spr
 from planner_service.dip.feet import with_planted_feet
 from planner_service.dip.folded import Conditions, Denoising, FoldedDip
 from planner_service.dip.network import DipNetwork
-from planner_service.dip.runtime import Runtime, choose_blocks
+from planner_service.dip.runtime import Runtime, choose_blocks, usual_steps
 from planner_service.dip.weights import SHIPPED, DipWeights, load_weights
 from planner_service.dip.wishes import Wishes, read_wishes
 from planner_service.text.encoder import CachedTextEncoder, TextEncoder, pad_tokens
@@ -58,7 +58,8 @@ class DipSettings(BaseModel):
         step_m: a target farther than this (on the floor, from the root) is moved toward the root: what running covers
             in a full plan; proportionally less for earlier arrivals. Callers who want a natural walk hand over nearer
             targets (REFERENCE 3: 1.2 m a plan).
-        steps: how many of the diffusion's steps are taken, spread evenly over them; None: all that were trained.
+        steps: how many of the diffusion's steps are taken, spread evenly over them; at most all that were trained.
+            None: see `runtime.usual_steps`.
         runtime, bf16: see `runtime.choose_blocks` (plans differ by rounding).
         threads: CPU threads of a runtime other than torch, whose threads belong to the process.
     """
@@ -106,7 +107,9 @@ class DipPlanner:
         self._known = known
         self._settings = settings or DipSettings()
         self._dip: Denoising = dip or folded(weights.network, self._settings)
-        self._steps = _steps(self._config.steps, self._settings.steps)
+        trained = self._config.steps
+        wanted = self._settings.steps or usual_steps(trained, self._settings.bf16)
+        self._steps = spread_steps(trained, min(wanted, trained))
         self._schedule = respaced(cosine_schedule(self._config.steps), self._steps)
         self._weights_id = weights.sha256[:12]
         self._spec = PlannerSpec(
@@ -255,13 +258,6 @@ class DipPlanner:
             ignored_conditions=ignored,
             guidance=guidance if request.text is not None else None,
         )
-
-
-def _steps(trained: int, wanted: int | None) -> list[int]:
-    """Numbers of the steps to take, rising."""
-    if wanted is not None and wanted > trained:
-        raise InvalidInputError(f"{wanted} diffusion steps", field="steps", allowed=f"1..{trained}")
-    return spread_steps(trained, wanted or trained)
 
 
 def folded(network: DipNetwork, settings: DipSettings) -> FoldedDip:

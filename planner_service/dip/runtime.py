@@ -55,3 +55,12 @@ def choose_blocks(network: DipNetwork, runtime: Runtime = "auto", bf16: bool | N
             return Chosen(f"openvino {precision}", OpenVinoBlocks(network, True, threads) if rounded else exact, exact)
     plain = TorchBlocks(network)
     return Chosen(f"torch {precision}", TorchBlocks(network, bf16=True) if rounded else plain, plain)
+
+
+def usual_steps(trained: int, bf16: bool | None = None) -> int:
+    """Diffusion steps to take where nobody says how many: all where bfloat16 is multiplied in, half elsewhere.
+
+    Half cost half, and plans are nearly as good (docs/experiments_planner.md).
+    """
+    rounded = bf16_pays() if bf16 is None else bf16
+    return trained if rounded else max(1, trained // 2)

@@ -50,7 +50,7 @@ def _dip(settings: PlannerSettings) -> Planner:
     torch.set_num_threads(settings.threads)
     try:
         planner: Planner = DipPlanner.load(
-            settings.dip_weights, DipSettings(runtime=settings.runtime, threads=settings.threads)
+            settings.dip_weights, DipSettings(runtime=settings.runtime, steps=settings.steps, threads=settings.threads)
         )
     except (FileNotFoundError, InvalidInputError) as error:
         raise UnavailableError(f"its weights do not load: {error}") from error

@@ -31,6 +31,10 @@ class PlannerSettings(ServiceSettings):
         Literal["auto", "torch", "openvino"],
         Field(description="what runs the network of `dip`; auto: openvino where it is installed, else torch"),
     ] = "auto"
+    steps: Annotated[
+        int | None,
+        Field(ge=1, description="diffusion steps of `dip`; default: all with bfloat16, half on processors without"),
+    ] = None
     threads: Annotated[int, Field(ge=1, le=256, description="CPU threads of the network")] = 1
     max_batch: Annotated[int, Field(ge=1, le=256, description="characters planned for at once")] = 8
     max_wait_ms: Annotated[float, Field(ge=0, le=1000, description="wait for others to fill a batch")] = 4.0

@@ -37,7 +37,7 @@ class Variant:
 
 VARIANTS: dict[str, dict[str, Variant]] = {
     "shipped": {"as shipped, plans played whole": Variant()},
-    "steps": {f"{n} steps": Variant({"steps": n}) for n in (3, 5)},
+    "steps": {f"{n} steps": Variant({"steps": n}) for n in (3, 5, 10)},
     "guidance": {
         **{f"guidance {g:g}": Variant({"guidance": g}) for g in (1.0, 2.5, 7.5)},
         "guidance 5 in every step": Variant({"coarse_guidance": 5.0}),

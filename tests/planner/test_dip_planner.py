@@ -82,7 +82,7 @@ def test_text_and_guidance_count_and_no_text_is_the_free_branch(planner: DipPlan
 
 def test_the_noisiest_steps_are_guided_less(weights: Path) -> None:
     def plan(coarse_steps: int, guidance: float, coarse: float = 1.0) -> np.ndarray:
-        settings = DipSettings(bf16=False, coarse_steps=coarse_steps, coarse_guidance=coarse)
+        settings = DipSettings(bf16=False, steps=10, coarse_steps=coarse_steps, coarse_guidance=coarse)
         own = DipPlanner(load_weights(weights), HashEncoder(), settings)
         return own.plan([request(guidance=guidance)])[0].positions_w_m
 
@@ -96,16 +96,16 @@ def test_the_noisiest_steps_are_guided_less(weights: Path) -> None:
     np.testing.assert_allclose(plan(4, 0.5, 1.5), plan(0, 0.5), atol=1e-5)
 
 
-def test_fewer_steps_make_a_plan_and_more_than_were_trained_are_refused(weights: Path) -> None:
-    def plan(steps: int | None) -> np.ndarray:
+def test_fewer_steps_make_another_plan_and_no_more_are_taken_than_were_trained(weights: Path) -> None:
+    def plan(steps: int) -> np.ndarray:
         own = DipPlanner(load_weights(weights), HashEncoder(), DipSettings(bf16=False, steps=steps))
+        assert own.runs_in.endswith(f" {min(steps, 10)} steps")
         return own.plan([request()])[0].positions_w_m
 
-    np.testing.assert_array_equal(plan(10), plan(None))
+    assert DipPlanner(load_weights(weights), HashEncoder(), DipSettings(bf16=False)).runs_in.endswith(" 5 steps")
+    assert DipPlanner(load_weights(weights), HashEncoder(), DipSettings(bf16=True)).runs_in.endswith(" 10 steps")
+    np.testing.assert_array_equal(plan(11), plan(10))
     assert np.abs(plan(4) - plan(10)).max() > 1e-5
-    with pytest.raises(InvalidInputError) as caught:
-        plan(11)
-    assert caught.value.field == "steps"
 
 
 def test_targets_are_not_guided_away_from(planner: DipPlanner) -> None:
@@ -149,7 +149,7 @@ def test_every_slot_counts(planner: DipPlanner) -> None:
 
 
 def test_bfloat16_differs_by_rounding_only(planner: DipPlanner, weights: Path) -> None:
-    rounded = DipPlanner(load_weights(weights), HashEncoder(), DipSettings(bf16=True)).plan([request()])[0]
+    rounded = DipPlanner(load_weights(weights), HashEncoder(), DipSettings(bf16=True, steps=5)).plan([request()])[0]
     exact = planner.plan([request()])[0]
     assert 0 < np.abs(rounded.positions_w_m - exact.positions_w_m).max() < 0.02
 
