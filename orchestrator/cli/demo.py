@@ -25,37 +25,56 @@ TASKS: list[dict[str, Any]] = [
     {"type": "reach", "name": "walk to a point behind", "relative_m": [-2.0, -0.3]},
     {"type": "halt", "name": "stand still"},
 ]
+EPISODE: dict[str, Any] = {"name": "demo", "tasks": TASKS}
+"""What is shown unless another episode is asked for."""
 KEPT: tuple[Format, ...] = ("npz", "bvh", "glb")
 
 
 def run_demo(
-    out: Path, seed: int, planner: str | None, tracker: str | None, pacing: Pacing, console: Console, film: bool = True
+    out: Path,
+    seed: int,
+    planner: str | None,
+    tracker: str | None,
+    pacing: Pacing,
+    console: Console,
+    film: bool = True,
+    episode: dict[str, Any] | None = None,
 ) -> bool:
     """Start the three services and run the demo; True when every task succeeded strictly. Leaves no process behind."""
     out.mkdir(parents=True, exist_ok=True)  # before the services start: what cannot be made is told at once
     with ending_on_sigterm(), tempfile.TemporaryDirectory(prefix="motionloop-demo-") as data_dir:
         options = StackOptions(planner_plugin=planner, tracker_plugin=tracker, data_dir=data_dir)
         with Stack(options, console.print) as stack, Client(stack.url) as client:
-            return play_demo(client, out, seed, pacing, console, film)
+            return play_demo(client, out, seed, pacing, console, film, episode)
 
 
-def play_demo(client: Client, out: Path, seed: int, pacing: Pacing, console: Console, film: bool = True) -> bool:
-    """Run the demo on services that are there already; True when every task succeeded strictly."""
+def play_demo(
+    client: Client,
+    out: Path,
+    seed: int,
+    pacing: Pacing,
+    console: Console,
+    film: bool = True,
+    episode: dict[str, Any] | None = None,
+) -> bool:
+    """Run the demo, or another episode as POST /v1/episodes takes it, on services that are there already; True when
+    every task succeeded strictly."""
     out.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
     services = client.services()
     console.print(f"running with planner {services.planner.plugin}, tracker {services.tracker.plugin}; seed {seed}")
-    run = client.episode(TASKS, seed=seed, pacing=pacing, name="demo")
+    spec = {**(episode or EPISODE), "seed": seed, "pacing": pacing}
+    run = client.episode(spec.pop("tasks", []), **spec)
     with Follower(console) as follower:
-        episode = run.wait(on_event=follower.take)
-    console.print(table(episode))
+        shown = run.wait(on_event=follower.take)
+    console.print(table(shown))
     for kind in KEPT:
         _keep(out / f"episode.{kind}", run.export(kind), console)
-    result = _result(episode, services, seed, time.monotonic() - began)
+    result = _result(shown, services, seed, time.monotonic() - began)
     _keep(out / "result.json", (json.dumps(result, indent=2) + "\n").encode(), console)
     if film:  # last, since it takes longest: whoever does not wait for it has the rest
         _film(run, out, console)
-    return bool(episode.success)
+    return bool(shown.success)
 
 
 def _film(run: Episode, out: Path, console: Console) -> None:

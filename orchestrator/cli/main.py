@@ -86,20 +86,26 @@ def demo(
     tracker: Annotated[str | None, typer.Option(help="tracker plug-in")] = None,
     pacing: Annotated[Literal["lockstep", "realtime"], typer.Option()] = "lockstep",
     video: Annotated[bool, typer.Option(help="render the video")] = True,
+    episode_file: Annotated[
+        Path | None, typer.Option("--episode", exists=True, dir_okay=False, help="another episode (JSON or YAML)")
+    ] = None,
     url: Annotated[str | None, typer.Option(help="use the services of this server instead of starting some")] = None,
     token: Token = None,
 ) -> None:
     """Walk to a point, wave, walk to a point behind, stand still; exit code 0 only if all succeeded."""
     from orchestrator.cli.demo import play_demo, run_demo
+    from orchestrator.cli.talk import read_episode
 
+    with for_people():
+        spec = None if episode_file is None else read_episode(episode_file)
     if url is None:
         need(*NEEDED["all"])
         with for_people():
-            raise typer.Exit(0 if run_demo(out, seed, planner, tracker, pacing, console, video) else 1)
+            raise typer.Exit(0 if run_demo(out, seed, planner, tracker, pacing, console, video, spec) else 1)
     if planner or tracker:
         raise typer.BadParameter("the server's plug-ins are chosen with `motionloop swap`", param_hint="--planner")
     with client(url, token) as http:
-        raise typer.Exit(0 if play_demo(http, out, seed, pacing, console, video) else 1)
+        raise typer.Exit(0 if play_demo(http, out, seed, pacing, console, video, spec) else 1)
 
 
 for _command in (say, episode, swap, export, watch, top):

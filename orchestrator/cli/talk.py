@@ -57,7 +57,7 @@ def episode(
 ) -> None:
     """Run an episode and show how it goes; exit code 0 only if every task succeeded."""
     with client(url, token) as server:
-        spec = _read(file)
+        spec = read_episode(file)
         if seed is not None:
             spec["seed"] = seed
         run = server.episode(spec.pop("tasks", []), **cast("Any", spec))
@@ -179,7 +179,8 @@ def _formats(text: str) -> list[Format]:
     return [kind for kind in FORMATS if kind in names]
 
 
-def _read(file: Path) -> dict[str, Any]:
+def read_episode(file: Path) -> dict[str, Any]:
+    """An episode as POST /v1/episodes takes it, from a file; raises InvalidInputError where it is no such thing."""
     text = file.read_text()
     if file.suffix in (".yaml", ".yml"):
         import yaml

@@ -38,7 +38,7 @@ SIT_S, TRY_S = 2.0, 6.0
 LOW_SHARE = 0.75
 """A pelvis below this share of its standing height sits or lies."""
 RISE = ReachTuning(speed_mps=0.4, least_arrival_s=0.8)
-HOLD_TICKS = 36
+HOLD_TICKS = 45
 """Planned anew every half second a rise begins again and again: the body leans forward, and forward, and sits."""
 UP_SHARE = 0.85
 """Below this share of its standing height a pelvis is still on its way up."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ def demo(*arguments: str) -> tuple[int, str]:
     return done.returncode, said
 
 
-def check_files(out: Path) -> dict[str, object]:
+def check_files(out: Path, names: Sequence[str] = tuple(task["name"] for task in TASKS)) -> dict[str, object]:
     """The result; the recording and its exports are of the same length."""
     result = json.loads((out / "result.json").read_text())
     with np.load(out / "episode.npz", allow_pickle=False) as data:
@@ -31,7 +32,7 @@ def check_files(out: Path) -> dict[str, object]:
     assert ticks == round(result["simulated_s"] * 30) + 1
     assert len(read_bvh(out / "episode.bvh").positions_w_m) == ticks
     assert (out / "episode.glb").read_bytes()[:4] == b"glTF"
-    assert [task["name"] for task in result["tasks"]] == [task["name"] for task in TASKS]
+    assert [task["name"] for task in result["tasks"]] == list(names)
     return dict(result)
 
 
@@ -40,6 +41,17 @@ def test_a_planner_that_only_stands_fails_the_demo_and_all_files_are_there(stack
     assert code == 1, said
     result = check_files(tmp_path / "new" / "demo")
     assert (result["success"], result["seed"], result["status"]) == (False, 2, "finished")
+
+
+def test_another_episode_is_shown_by_its_file(stack: Stack, tmp_path: Path) -> None:
+    file = tmp_path / "stand.yaml"
+    file.write_text("name: still\nscene: bag\ntasks:\n  - {type: halt, name: stand, duration_s: 1}\n")
+    code, said = demo("--url", stack.url, "--out", str(tmp_path / "demo"), "--no-video", "--episode", str(file))
+    assert code == 0, said
+    assert check_files(tmp_path / "demo", ("stand",))["success"]
+    file.write_text("- nothing")
+    code, said = demo("--url", stack.url, "--out", str(tmp_path / "demo"), "--episode", str(file))
+    assert code == 1, said
 
 
 def test_what_cannot_be_is_told_before_anything_starts(stack: Stack, tmp_path: Path) -> None:
