@@ -267,6 +267,13 @@ def test_a_phone_shows_everything_within_its_width(context: BrowserContext, stac
         assert box["x"] >= 0
         assert box["x"] + box["width"] <= 390
         assert box["y"] + box["height"] <= 844
+    # What one can do with the things of the first scene is beside the toolbar, not under it.
+    page.get_by_role("button", name="Hit the bag").wait_for()
+    tools, deeds = page.locator(".toolbar").bounding_box(), page.locator("#deeds").bounding_box()
+    assert tools is not None
+    assert deeds is not None
+    assert deeds["x"] >= tools["x"] + tools["width"]
+    assert deeds["x"] + deeds["width"] <= 390
 
 
 def test_the_death_of_the_planner_shows(context: BrowserContext, tmp_path: Path) -> None:
