@@ -41,6 +41,11 @@ def test_lists_are_written_with_commas_and_empty_is_not_set(monkeypatch: pytest.
     monkeypatch.setenv("MOTIONLOOP_TRACKER_TRACKERS", "pd")
     monkeypatch.setenv("MOTIONLOOP_TRACKER_WEIGHTS", "")
     assert load_settings(PlannerSettings).plugins == ("stand", "clip")
+    for name in ("allowed_hosts", "swap_endpoints", "spare_trackers"):
+        assert getattr(load_settings(OrchestratorSettings, {name: "tcp://a:1,tcp://b:2"}), name) == (
+            "tcp://a:1",
+            "tcp://b:2",
+        )
     assert load_settings(PlannerSettings, {"plugins": "dip"}).plugins == ("dip",)
     tracker = load_settings(TrackerServiceSettings)
     assert (tracker.trackers, tracker.weights) == (("pd",), None)

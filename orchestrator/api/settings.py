@@ -55,7 +55,7 @@ class OrchestratorSettings(Settings):
     scenes: Path | None = None
     curve_dir: Path | None = Field(default_factory=curve_dir_from_environment)
     connect_timeout_s: Annotated[float, Field(gt=0, le=600)] = 60.0
-    spare_trackers: tuple[str, ...] = ()
+    spare_trackers: Names = ()
     rescue_s: Annotated[float, Field(ge=0, le=3600)] = 60.0
     max_running: Annotated[int, Field(ge=1, le=1000)] = 64
     swap_endpoints: Names = ()

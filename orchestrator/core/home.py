@@ -56,11 +56,15 @@ class Home:
                 self._move_to(slot)
                 return
 
+    def leave(self) -> None:
+        """It is not there, or not any more: it counts no longer where characters are placed."""
+        self._services.residents.pop(self._character_id, None)
+
     async def ask(self, kind: type[Reply], message: Message, timeout_s: float | None = None) -> Reply:
         """The tracker's reply; one that has no room for a request at the moment is asked again until the deadline."""
         until = time.monotonic() + (timeout_s or self._timeout_s)
         if isinstance(message, CloseCharacter):
-            self._services.residents.pop(self._character_id, None)
+            self.leave()
         noticed = (PATIENCE_S, HEALTH_S) if self._services.rescue_s > 0 else ()
         while True:
             try:

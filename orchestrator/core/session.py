@@ -142,6 +142,16 @@ class Session:
 
     async def start(self) -> StateFrame:
         """Make it at the tracker."""
+        try:
+            self._state = await self._made()
+        except BaseException:
+            self.loop.home.leave()
+            raise
+        self._driver = self._make_driver(self._state)
+        self._keep_due = True
+        return self._state
+
+    async def _made(self) -> StateFrame:
         choices, scenes = self._choices, self._services.scenes
         self.choose_scene()
         request = CreateCharacter(
@@ -152,10 +162,7 @@ class Session:
             seed=choices.seed,
             heading_rad=self._heading_rad,
         )
-        self._state = await self.loop.ask_tracker(StateFrame, request)
-        self._driver = self._make_driver(self._state)
-        self._keep_due = True
-        return self._state
+        return await self.loop.ask_tracker(StateFrame, request)
 
     def choose_scene(self) -> Scene | None:
         """The scene as the seed makes it; None where only the tracker knows it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import sys
@@ -14,9 +15,13 @@ import httpx
 import pytest
 
 from orchestrator.client import Client
+from orchestrator.core.character import CharacterSession, CharacterSpec
+from orchestrator.core.events import EventLog
+from orchestrator.core.services import Services, connect
 from orchestrator.core.supervise import ServiceProcess, Stack
 from orchestrator.rest import Event
 from orchestrator.store.recordings import from_npz
+from shared.errors import NotFoundError
 from tests.orchestrator.support import arrays_of, kept_up, light, play
 from tests.orchestrator.test_faults import LONG, wait_for
 from tests.orchestrator.test_moving import hosted
@@ -172,3 +177,24 @@ def test_an_episode_that_waits_for_its_tracker_can_be_cancelled(tmp_path: Path) 
         assert first_event(client, episode_id, "tracker_lost").type == "tracker_lost"
         client.episodes[episode_id].cancel()
         assert ended(client, episode_id)["status"] == "cancelled"
+
+
+def test_a_character_that_could_not_be_made_counts_nowhere(stack: Stack) -> None:
+    """Else a tracker that refuses some would look full, and the others get all."""
+
+    async def run() -> None:
+        planner, tracker = stack.planner.address, stack.tracker.address
+        services = Services(await connect(planner, "planner", "stand"), await connect(tracker, "tracker", "kinematic"))
+        try:
+            with pytest.raises(NotFoundError):
+                await CharacterSession("refused", CharacterSpec(scene="moon"), services, EventLog()).start()
+            assert services.residents == {}
+            made = CharacterSession("made", CharacterSpec(), services, EventLog())
+            await made.start()
+            assert list(services.residents) == ["made"]
+            await made.close()
+            assert services.residents == {}
+        finally:
+            await services.close()
+
+    asyncio.run(run())
