@@ -12,7 +12,7 @@ from planner_service.dip.conditions import JOINT_SLOTS
 from planner_service.dip.config import preset
 from planner_service.dip.features_torch import Normalizer
 from planner_service.dip.network import DipNetwork
-from planner_service.dip.planner import DipPlanner, DipSettings
+from planner_service.dip.planner import DipPlanner, DipSettings, eased, speed_mps
 from planner_service.dip.weights import load_weights, save_weights
 from planner_service.text.encoder import TextEncoderSpec
 from shared.errors import InvalidInputError, UnavailableError
@@ -65,6 +65,22 @@ def test_same_seed_same_plan_another_seed_another(planner: DipPlanner) -> None:
     np.testing.assert_array_equal(first.positions_w_m, again.positions_w_m)
     other = planner.plan([request(seed=8)])[0]
     assert np.abs(first.positions_w_m - other.positions_w_m).max() > 1e-3
+
+
+def test_texts_pull_less_at_a_body_that_runs(planner: DipPlanner) -> None:
+    assert [eased(5.0, v) for v in (0.0, 1.2, 1.6, 2.0, 4.0)] == pytest.approx([5.0, 5.0, 3.0, 1.0, 1.0])
+    assert eased(0.5, 3.0) == 0.5  # who asks for less than none at all keeps it
+
+    def at(mps: float, **changes: object) -> PlanRequest:
+        prefix = np.repeat(moving_body(1, 20.0), 20, axis=0)
+        prefix[:, :, 1] += (np.arange(20) * mps / 20)[:, None]
+        return request(prefix_positions_w_m=prefix, prefix_velocities_w_mps=finite_velocity(prefix, 20), **changes)
+
+    assert speed_mps(at(1.6)) == pytest.approx(1.6)
+    assert planner.plan([at(0.5)])[0].guidance == 5.0
+    assert planner.plan([at(1.6)])[0].guidance == pytest.approx(3.0)
+    assert planner.plan([at(3.0)])[0].guidance == 1.0
+    assert planner.plan([at(3.0, guidance=5.0)])[0].guidance == 5.0
 
 
 def test_a_plan_does_not_depend_on_its_batch(planner: DipPlanner) -> None:
