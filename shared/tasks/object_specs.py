@@ -20,8 +20,8 @@ class StrikeSpec(BaseTaskSpec):
     Attributes:
         mark: what to hit; it is on an object.
         height_m: hit at this height; None: at the mark's own.
-        from_m, to_m, stand_m: a blow starts between these distances of pelvis and object over the floor (REFERENCE 3:
-            1 to 1.5 m); a body elsewhere goes to `stand_m` first.
+        from_m, to_m, stand_m: a blow starts between these distances of pelvis and object over the floor; a body
+            elsewhere goes to `stand_m` first. A blow from farther away does not get there in one plan.
         blow_s: least time from the start of a blow to its landing.
     """
 
@@ -30,9 +30,9 @@ class StrikeSpec(BaseTaskSpec):
     mark: Name = "bag_centre"
     height_m: Annotated[FiniteFloat, Field(ge=0, le=3)] | None = None
     text: Text | None = None
-    from_m: Metres = 0.8
-    to_m: Metres = 1.55
-    stand_m: Metres = 1.1
+    from_m: Metres = 0.65
+    to_m: Metres = 1.0
+    stand_m: Metres = 0.85
     blow_s: Annotated[FiniteFloat, Field(ge=0.4, le=2)] = 1.2
     time_limit_s: TimeLimit = 15.0
     guidance: Guidance | None = None
