@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.chaos.faults import FAULTS, shuffled
 from tests.chaos.run import chaos, sound
 
@@ -23,6 +25,7 @@ SHORT = (
 SEED = 7
 
 
+@pytest.mark.slow
 def test_no_episode_is_lost_or_stuck_and_no_tick_is_missing(tmp_path: Path) -> None:
     faults = [fault for fault in shuffled(len(FAULTS), SEED) if fault.name in SHORT]
     assert len(faults) == len(SHORT)
