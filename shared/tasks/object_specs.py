@@ -45,7 +45,8 @@ class StrikeSpec(BaseTaskSpec):
         side, end = self.limb.split("_")
         if end == "hand":
             return f"a person is punching with the {side} hand."
-        return f"a person is performing a high kick with the {side}."
+        # Not the release's "performing a high kick": our planner has learnt other words, and takes that for a step.
+        return f"a person kicks with the {side} foot."
 
     def check(self, scene: Scene | None) -> None:
         """The mark is there, on an object."""
