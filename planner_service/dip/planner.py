@@ -66,6 +66,22 @@ def eased(guidance: float, speed_mps: float) -> float:
     return guidance if guidance <= 1.0 else guidance + share * (1.0 - guidance)
 
 
+EASIER_GUIDANCE = 1.5
+LEGS_MPS2 = 3.5
+"""A plan that changes the pelvis' speed faster is made again with less guidance: eight bodies that stood and were told to
+run had plans that gained speed at a median of 4.0 m/s2; with 1.5 at 3.1."""
+SPAN_FRAMES = 6
+
+
+def hardest_mps2(positions_w_m: npt.NDArray[np.floating]) -> float:
+    """Fastest change of the pelvis' speed over the floor, over SPAN_FRAMES, in motion (T, J, 3) at PLANNER_FPS."""
+    step = np.linalg.norm(np.diff(positions_w_m[:, 0, :2].astype(np.float64), axis=0), axis=-1) * PLANNER_FPS
+    smooth = np.convolve(step, np.ones(3) / 3, "valid")
+    if len(smooth) <= SPAN_FRAMES:
+        return 0.0
+    return float(np.abs(smooth[SPAN_FRAMES:] - smooth[:-SPAN_FRAMES]).max()) * PLANNER_FPS / SPAN_FRAMES
+
+
 class DipSettings(BaseModel):
     """How requests are turned into conditions.
 
@@ -205,7 +221,21 @@ class DipPlanner:
             "diffusion": (sampled - embedded) * 1e3,
             "decode": (time.monotonic() - sampled) * 1e3,
         }
-        return [plan.model_copy(update={"timings_ms": timings}) for plan in plans]
+        plans = [plan.model_copy(update={"timings_ms": timings}) for plan in plans]
+        hard = [i for i, plan in enumerate(plans) if self._too_hard(requests[i], plan, guidance[i])]
+        again = self.plan([requests[i].model_copy(update={"guidance": EASIER_GUIDANCE}) for i in hard])
+        for i, plan in zip(hard, again, strict=True):
+            both = {name: timings[name] + took for name, took in plan.timings_ms.items()}
+            plans[i] = plan.model_copy(update={"timings_ms": both})
+        return plans
+
+    @staticmethod
+    def _too_hard(request: PlanRequest, plan: Plan, guidance: float) -> bool:
+        """Whether legs may not follow a plan, and less guidance may help."""
+        if request.guidance is not None or request.text is None or guidance <= EASIER_GUIDANCE:
+            return False
+        motion = np.concatenate([request.prefix_positions_w_m[-SPAN_FRAMES:], plan.positions_w_m])
+        return hardest_mps2(motion) > LEGS_MPS2
 
     def _guidance(self, request: PlanRequest, placed: bool) -> float:
         if request.guidance is not None:

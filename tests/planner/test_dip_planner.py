@@ -12,7 +12,7 @@ from planner_service.dip.conditions import JOINT_SLOTS
 from planner_service.dip.config import preset
 from planner_service.dip.features_torch import Normalizer
 from planner_service.dip.network import DipNetwork
-from planner_service.dip.planner import DipPlanner, DipSettings, eased, speed_mps
+from planner_service.dip.planner import EASIER_GUIDANCE, DipPlanner, DipSettings, eased, hardest_mps2, speed_mps
 from planner_service.dip.weights import load_weights, save_weights
 from planner_service.text.encoder import TextEncoderSpec
 from shared.errors import InvalidInputError, UnavailableError
@@ -212,3 +212,23 @@ def test_encoder_must_be_the_one_trained_with(weights: Path) -> None:
     with pytest.raises(InvalidInputError) as caught:
         DipPlanner(load_weights(weights), OtherEncoder())
     assert caught.value.field == "text_encoder"
+
+
+def test_a_plan_that_legs_cannot_follow_is_made_again_with_less_guidance(
+    planner: DipPlanner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gentle = planner.plan([request(text="walk", guidance=EASIER_GUIDANCE)])[0]
+    usual = planner.plan([request(text="walk")])[0]
+    monkeypatch.setattr("planner_service.dip.planner.LEGS_MPS2", -1.0)
+    again = planner.plan([request(text="walk"), request(text="walk", guidance=5.0), request(text=None)])
+    assert [plan.guidance for plan in again] == [EASIER_GUIDANCE, 5.0, None]
+    np.testing.assert_array_equal(again[0].positions_w_m, gentle.positions_w_m)
+    assert np.abs(usual.positions_w_m - gentle.positions_w_m).max() > 1e-4
+
+
+def test_the_hardest_change_of_speed_is_found() -> None:
+    time = np.arange(40) / 20.0
+    motion = np.zeros((40, 22, 3))
+    motion[:, :, 0] = (0.5 * 2.5 * time**2)[:, None]
+    assert hardest_mps2(motion) == pytest.approx(2.5, rel=1e-6)
+    assert hardest_mps2(np.zeros((5, 22, 3))) == 0.0
