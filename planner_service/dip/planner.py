@@ -68,8 +68,8 @@ def eased(guidance: float, speed_mps: float) -> float:
 
 EASIER_GUIDANCE = 1.5
 LEGS_MPS2 = 3.5
-"""A plan that changes the pelvis' speed faster is made again with less guidance: eight bodies that stood and were told to
-run had plans that gained speed at a median of 4.0 m/s2; with 1.5 at 3.1."""
+"""A plan that changes the pelvis' speed faster is made again with less guidance: eight bodies that stood and were told
+to run had plans that gained speed at a median of 4.0 m/s2; with 1.5 at 3.1."""
 SPAN_FRAMES = 6
 
 
