@@ -6,12 +6,12 @@ newer server does not break an older client.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
-Point = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
+Point = Annotated[list[float], Field(min_length=3, max_length=3)]
+Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
 
 
 class Body(BaseModel):

@@ -84,8 +84,8 @@ async def skeleton() -> SkeletonBody:
         id=CANONICAL.id,
         joints=list(CANONICAL.names),
         parents=list(CANONICAL.parents),
-        offsets_m=[(float(x), float(y), float(z)) for x, y, z in CANONICAL.offsets_m],
-        rest_positions_m=[(float(x), float(y), float(z)) for x, y, z in CANONICAL.rest_positions_m],
+        offsets_m=CANONICAL.offsets_m.tolist(),
+        rest_positions_m=CANONICAL.rest_positions_m.tolist(),
         height_m=CANONICAL.height_m,
         target_joints=list(JOINTS),
     )
