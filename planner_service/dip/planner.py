@@ -105,7 +105,7 @@ class DipSettings(BaseModel):
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    guidance: float = Field(5.0, ge=0)
+    guidance: float = Field(3.0, ge=0)
     target_guidance: float = Field(1.0, ge=0)
     coarse_guidance: float = Field(2.5, ge=0)
     coarse_steps: int = Field(3, ge=0)

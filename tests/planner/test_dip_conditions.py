@@ -112,7 +112,7 @@ def test_weights_without_them_are_deaf_to_them(plain: DipWeights) -> None:
     asked = request(**keys((60, WRIST, (1.0, 0.2, 1.1))), desired_velocity_w_mps=(1.0, 0.0))
     plan, free = deaf.plan([asked])[0], deaf.plan([request()])[0]
     np.testing.assert_array_equal(plan.positions_w_m, free.positions_w_m)
-    assert plan.guidance == free.guidance == 5.0
+    assert plan.guidance == free.guidance == DipSettings().guidance
     assert plan.ignored_conditions == [], "the service names what `conditions` does not hold"
 
 
