@@ -24,7 +24,10 @@ _DAMAGED = (
     zipfile.BadZipFile, zlib.error, tokenize.TokenError, SyntaxError, OSError, EOFError, ValueError,
     NotImplementedError, RuntimeError, MemoryError,
 )  # fmt: skip
-"""What zipfile and numpy raise for bytes that are not theirs; numpy reads a header as Python's literals."""
+"""What zipfile and numpy raise for bytes that are not theirs; each is told as InvalidInputError.
+
+NotImplementedError: an unknown compression; RuntimeError: an encrypted member; MemoryError: a size that no memory holds;
+SyntaxError and TokenError: a header, which numpy reads as Python's literals."""
 
 
 def read_npz(data: bytes, limit_bytes: int) -> Arrays:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 import tomllib
@@ -46,6 +47,17 @@ def test_every_package_is_typed_and_shipped() -> None:
         assert (REPO / package / "py.typed").is_file()
         for folder in {path.parent for path in (REPO / package).rglob("*.py")}:
             assert (folder / "__init__.py").is_file(), f"{folder} would not be in the wheel"
+
+
+def test_extras_that_are_named_exist() -> None:
+    """pip passes over an extra that is not there with a warning that nobody reads."""
+    project = tomllib.loads((REPO / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    named = {name for needs in extras.values() for need in needs for name in re.findall(r"^motionloop\[(.*)\]", need)}
+    for page in [REPO / "README.md", *(REPO / "docs").glob("*.md")]:
+        named |= set(re.findall(r"(?:'\.|motionloop)\[([a-z,]+)\]", page.read_text(encoding="utf-8")))
+    missing = {extra for names in named for extra in names.split(",")} - set(extras)
+    assert {"fast", "all"} <= set(extras) and not missing
 
 
 def test_no_recorded_motion_is_committed() -> None:

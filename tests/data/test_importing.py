@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import tempfile
@@ -173,12 +174,19 @@ def test_a_json_path_that_cannot_be_written_is_told_before_the_work(tmp_path: Pa
     assert "invalid_input" in shown.output and not (tmp_path / "out").exists()
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
-def test_a_file_that_may_not_be_read_is_named(tmp_path: Path) -> None:
+def test_a_file_that_may_not_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Refused by a patched read and not by the file's mode: root, as whom CI runs, may read everything."""
     (tmp_path / "walk.bvh").write_text(plain())
-    (tmp_path / "walk.bvh").chmod(0)
+    read = Path.read_bytes
+
+    def refused(path: Path) -> bytes:
+        if path.name == "walk.bvh":
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return read(path)
+
+    monkeypatch.setattr(Path, "read_bytes", refused)
     shown = command(tmp_path / "walk.bvh", tmp_path / "out")
-    assert shown.exit_code == 1 and "error: walk.bvh: cannot be opened" in shown.output
+    assert shown.exit_code == 1 and "error: walk.bvh: cannot be opened (Permission denied)" in shown.output
 
 
 @pytest.mark.parametrize(

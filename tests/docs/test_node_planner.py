@@ -14,7 +14,7 @@ from orchestrator.client import Client
 from orchestrator.core.supervise import ServiceProcess, Stack
 from shared.plugins.conformance import check_planner_endpoint
 from tests.docs.conftest import REPO
-from tests.orchestrator.support import light
+from tests.orchestrator.support import light, running
 
 EXAMPLE = REPO / "examples" / "node_planner"
 
@@ -34,13 +34,8 @@ def node_planner(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServicePr
     loads = [node, "--input-type=module", "-e", "import 'zeromq'"]
     if done.returncode or subprocess.run(loads, cwd=folder, capture_output=True, check=False).returncode:
         pytest.skip(f"the package zeromq cannot be installed: {done.stderr[-300:]}")
-    process = ServiceProcess("node planner", [node, str(folder / "planner.mjs"), "tcp://127.0.0.1:*"])
-    process.start()
-    try:
-        process.wait_ready()
+    with running("node planner", node, str(folder / "planner.mjs"), "tcp://127.0.0.1:*") as process:
         yield process
-    finally:
-        process.stop()
 
 
 def test_it_passes_the_suite(node_planner: ServiceProcess) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import sys
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,7 +15,7 @@ import httpx
 import numpy as np
 
 from orchestrator.core.keeper import BackOff, Keeper
-from orchestrator.core.supervise import Say, Stack, StackOptions
+from orchestrator.core.supervise import Say, ServiceProcess, Stack, StackOptions
 
 LIGHT = StackOptions(planner_plugin="stand", tracker_plugin="kinematic", planner_args=("--plugins", "stand"))
 """Without torch a planner is there in a second."""
@@ -43,6 +44,26 @@ def arrays_of(http: httpx.Client, episode_id: str) -> dict[str, bytes]:
     content = http.get(f"/v1/episodes/{episode_id}/motion.npz").content
     with np.load(io.BytesIO(content), allow_pickle=False) as data:
         return {name: data[name].tobytes() for name in data.files}
+
+
+FREE = "tcp://127.0.0.1:0"
+
+
+@contextlib.contextmanager
+def running(name: str, *command: str) -> Iterator[ServiceProcess]:
+    """A service process that is ready, and stopped in the end."""
+    process = ServiceProcess(name, list(command))
+    process.start()
+    try:
+        process.wait_ready()
+        yield process
+    finally:
+        process.stop()
+
+
+def running_service(module: str, *options: str) -> contextlib.AbstractContextManager[ServiceProcess]:
+    """`python -m MODULE` on a free port."""
+    return running(module, sys.executable, "-m", module, "--endpoint", FREE, *options)
 
 
 @contextlib.contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 
 import httpx
@@ -11,20 +10,14 @@ import pytest
 from orchestrator.core.supervise import ServiceProcess, Stack
 from shared.protocol.control import Health, HealthReport
 from shared.protocol.transport import ServiceClient
-
-FREE = "tcp://127.0.0.1:0"
+from tests.orchestrator.support import running_service
 
 
 @pytest.fixture
 def other() -> Iterator[ServiceProcess]:
     """A second tracker service."""
-    process = ServiceProcess("other tracker", [sys.executable, "-m", "tracker_service", "--endpoint", FREE])
-    process.start()
-    try:
-        process.wait_ready()
+    with running_service("tracker_service") as process:
         yield process
-    finally:
-        process.stop()
 
 
 def hosted(address: str) -> int:

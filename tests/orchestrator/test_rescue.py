@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -22,12 +21,11 @@ from orchestrator.core.supervise import ServiceProcess, Stack
 from orchestrator.rest import Event
 from orchestrator.store.recordings import from_npz
 from shared.errors import NotFoundError
-from tests.orchestrator.support import arrays_of, kept_up, light, play
+from tests.orchestrator.support import arrays_of, kept_up, light, play, running_service
 from tests.orchestrator.test_faults import LONG, wait_for
 from tests.orchestrator.test_moving import hosted
 from tests.planner_service.motion import write_library
 
-FREE = "tcp://127.0.0.1:0"
 TASKS: list[dict[str, Any]] = [
     {"type": "text", "text": "a person walks forward.", "duration_s": 30},
     {"type": "reach", "relative_m": [1.5, 0.5], "time_limit_s": 8},
@@ -39,13 +37,8 @@ TASKS: list[dict[str, Any]] = [
 @pytest.fixture
 def second() -> Iterator[ServiceProcess]:
     """Another tracker service."""
-    process = ServiceProcess("second tracker", [sys.executable, "-m", "tracker_service", "--endpoint", FREE])
-    process.start()
-    try:
-        process.wait_ready()
+    with running_service("tracker_service") as process:
         yield process
-    finally:
-        process.stop()
 
 
 def first_event(client: Client, episode_id: str, kind: str) -> Event:

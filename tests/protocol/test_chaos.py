@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import uuid
 from collections.abc import Iterator
 from typing import TypeVar
@@ -16,6 +15,7 @@ from shared.protocol.base import Message
 from shared.protocol.control import Ok
 from shared.protocol.messages import CloseCharacter, CreateCharacter, GetTicks, Impulse, StateFrame, Step, TickRange
 from shared.protocol.transport import ServiceClient
+from tests.orchestrator.support import running_service
 from tests.protocol.chaos_proxy import FAULTS, ChaosProxy
 
 STEPS = 60
@@ -26,14 +26,8 @@ Reply = TypeVar("Reply", bound=Message)
 
 @pytest.fixture(scope="module")
 def tracker() -> Iterator[ServiceProcess]:
-    command = [sys.executable, "-m", "tracker_service", "--endpoint", "tcp://127.0.0.1:0", "--trackers", "pd"]
-    process = ServiceProcess("tracker", command)
-    process.start()
-    try:
-        process.wait_ready()
+    with running_service("tracker_service", "--trackers", "pd") as process:
         yield process
-    finally:
-        process.stop()
 
 
 def asked(client: ServiceClient, message: Message, kind: type[Reply], name: str) -> Reply:

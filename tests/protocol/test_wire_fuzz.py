@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import random
 import struct
-import sys
 import time
 import uuid
 import zlib
@@ -22,6 +21,7 @@ from orchestrator.core.supervise import ServiceProcess
 from shared.protocol.codec import MAGIC, encode
 from shared.protocol.control import Envelope, Health, HealthReport
 from shared.protocol.transport import ServiceClient
+from tests.orchestrator.support import running_service
 from tests.protocol.samples import SAMPLES
 
 MESSAGES = int(os.environ.get("MOTIONLOOP_FUZZ", "3000"))
@@ -34,14 +34,8 @@ SLOW = {"Render", "Hello", "Step"}
 @pytest.fixture(params=["planner", "tracker"])
 def service(request: pytest.FixtureRequest) -> Iterator[ServiceProcess]:
     extra = ["--plugins", "stand"] if request.param == "planner" else ["--trackers", "kinematic"]
-    command = [sys.executable, "-m", f"{request.param}_service", "--endpoint", "tcp://127.0.0.1:0", *extra]
-    process = ServiceProcess(request.param, command)
-    process.start()
-    try:
-        process.wait_ready()
+    with running_service(f"{request.param}_service", *extra) as process:
         yield process
-    finally:
-        process.stop()
 
 
 def mutated(frames: list[bytes], draw: random.Random) -> list[bytes]:

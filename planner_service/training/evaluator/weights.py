@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,15 +9,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import torch
-from pydantic import ValidationError
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 
 from planner_service.dip.features_torch import Normalizer
+from planner_service.dip.saved import read_network, save_network
 from planner_service.text.encoder import TextEncoder, pad_tokens
-from planner_service.text.pretrained import file_sha256
 from planner_service.training.evaluator.network import FRAMES_A_TOKEN, EvaluatorConfig, EvaluatorNetwork
-from shared.errors import InvalidInputError, UnavailableError
+from shared.errors import InvalidInputError
 from shared.motion.features import FEATURES
 
 FORMAT = "motionloop-evaluator-1"
@@ -84,15 +80,7 @@ def pad_motions(motions: Sequence[npt.NDArray[np.floating]]) -> tuple[torch.Tens
 
 def save_evaluator(path: Path, network: EvaluatorNetwork, normalizer: Normalizer, card: dict[str, object]) -> str:
     """Write weights (fp16) and `card` as PATH's JSON neighbour; returns the file's sha256."""
-    tensors = {f"network.{k}": v.detach().cpu().half().contiguous() for k, v in network.state_dict().items()}
-    tensors["normalizer.mean"] = normalizer.mean.cpu().float().contiguous()
-    tensors["normalizer.std"] = normalizer.std.cpu().float().contiguous()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save_file(tensors, str(path), {"format": FORMAT, "config": network.config.model_dump_json()})
-    path.chmod(0o644)
-    digest = file_sha256(path)
-    path.with_suffix(".json").write_text(json.dumps({**card, "sha256": digest}, indent=1) + "\n", encoding="utf-8")
-    return digest
+    return save_network(path, FORMAT, network.config, network, normalizer, card)
 
 
 def load_evaluator(encoder: TextEncoder, path: Path = SHIPPED) -> Evaluator:
@@ -102,24 +90,15 @@ def load_evaluator(encoder: TextEncoder, path: Path = SHIPPED) -> Evaluator:
         UnavailableError: there is no such file.
         InvalidInputError: the file holds something else, or was made with another text encoder.
     """
-    if not path.is_file():
-        raise UnavailableError(f"no evaluator weights at {path}", field="evaluator")
-    try:
-        with safe_open(str(path), framework="pt") as file:
-            metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118 - not a dict
-        if metadata.get("format") != FORMAT:
-            raise InvalidInputError(f"{path} has format {metadata.get('format')}", field="evaluator", allowed=FORMAT)
-        network = EvaluatorNetwork(EvaluatorConfig.model_validate_json(metadata["config"]))
-        prefix = "network."
-        network.load_state_dict({k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)})
-        normalizer = Normalizer(tensors["normalizer.mean"], tensors["normalizer.std"])
-    except (SafetensorError, ValidationError, KeyError, RuntimeError) as error:
-        raise InvalidInputError(f"{path} holds no evaluator: {error}", field="evaluator", allowed=FORMAT) from error
+    network, normalizer, digest = read_network(path, FORMAT, "evaluator", _network)
     if network.config.text_encoder != encoder.spec.name:
         raise InvalidInputError(
             f"these weights do not fit the text encoder {encoder.spec.name!r}",
             field="text_encoder",
             allowed=network.config.text_encoder,
         )
-    return Evaluator(network.eval().requires_grad_(False), normalizer, encoder, file_sha256(path))
+    return Evaluator(network, normalizer, encoder, digest)
+
+
+def _network(config: str) -> EvaluatorNetwork:
+    return EvaluatorNetwork(EvaluatorConfig.model_validate_json(config))
