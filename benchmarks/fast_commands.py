@@ -125,7 +125,7 @@ async def measure(
 
 
 def steered(result: dict[str, Any]) -> bool:
-    """Whether plans were delivered at 0.8 of the planner's own rate or more, and the character came where it should."""
+    """Whether plans were delivered at 0.8 of the lesser rate, and the character came where it should."""
     return all(run["share"] >= LEAST_SHARE and run["arrived_after_s"] is not None for run in result["runs"])
 
 

@@ -95,10 +95,11 @@ def _spread(values: Sequence[float], digits: int) -> str:
     return f"{np.mean(values):.{digits}f} ({min(values):.{digits}f}-{max(values):.{digits}f})"
 
 
-def finished(path: Path, marks: int) -> list[Row]:
-    """Rows of the runs in a file that came to their last mark."""
+def finished(path: Path, marks_s: Sequence[float]) -> list[Row]:
+    """Rows of the runs in a file that came to the last of these marks (seconds)."""
     rows: list[Row] = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    done = {(row["method"], row["seed"]) for row in rows if row["mark"] == marks - 1}
+    last = (len(marks_s) - 1, marks_s[-1])
+    done = {(row["method"], row["seed"]) for row in rows if (row["mark"], row["mark_s"]) == last}
     return [row for row in rows if (row["method"], row["seed"]) in done]
 
 
@@ -117,7 +118,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     marks = [60.0 * m for m in np.arange(1, round(options.minutes / options.judge_every) + 1) * options.judge_every]
     sets = training_sets(humanoid(HUMAN), options.corpus, options.out / "cache", {}, {}, print, options.threads)
     path = options.out / "rows.jsonl"
-    rows = finished(path, len(marks))
+    rows = finished(path, marks)
     for seed in range(options.seeds):
         for method in METHODS:
             if any(row["method"] == method and row["seed"] == seed for row in rows):
@@ -126,7 +127,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             env = EnvSettings(envs=options.envs, threads=options.threads)
             learning = learner_of(method, sets, options.out / f"{method}_{seed}", env, seed)
             for mark, row in enumerate(learn(learning, marks)):
-                rows.append({"method": method, "seed": seed, "mark": mark, **row})
+                rows.append({"method": method, "seed": seed, "mark": mark, "mark_s": marks[mark], **row})
             path.write_text("".join(json.dumps(row) + "\n" for row in rows), encoding="utf-8")
             print(json.dumps(rows[-1]), flush=True)
     machine = f"{platform.machine()}, {os.cpu_count()} cores, {options.threads} threads, {options.envs} environments"

@@ -26,7 +26,7 @@ _DAMAGED = (
 )  # fmt: skip
 """What zipfile and numpy raise for bytes that are not theirs; each is told as InvalidInputError.
 
-NotImplementedError: an unknown compression; RuntimeError: an encrypted member; MemoryError: a size that no memory holds;
+NotImplementedError: an unknown compression; RuntimeError: an encrypted member; MemoryError: a size beyond all memory;
 SyntaxError and TokenError: a header, which numpy reads as Python's literals."""
 
 

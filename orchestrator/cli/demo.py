@@ -21,7 +21,7 @@ from shared.protocol.rates import TICK_HZ
 
 TASKS: list[dict[str, Any]] = [
     {"type": "reach", "name": "walk to a point", "relative_m": [2.0, 0.6]},
-    {"type": "text", "name": "wave", "text": "a person waves with the right hand.", "duration_s": 5.0, "retries": 2},
+    {"type": "text", "name": "wave", "text": "a person waves with the right hand.", "duration_s": 5.0},
     {"type": "reach", "name": "walk to a point behind", "relative_m": [-2.0, -0.3]},
     {"type": "halt", "name": "stand still"},
 ]

@@ -114,7 +114,8 @@ class _Paced:
         return Pace(next_plan_tick=self._next_plan_tick, entered=entered, early=early, bad_plans=self._bad.in_a_row)
 
     def _set(self, state: StateFrame, pace: Pace, seen_tick: int) -> None:
-        self._state, self._seen, self._next_plan_tick = state, seen_tick, pace.next_plan_tick
+        # By the clock the character may have been kept after the last look: those ticks are still to be seen.
+        self._state, self._seen, self._next_plan_tick = state, min(self._seen, seen_tick), pace.next_plan_tick
         self._pacer.remember(pace.entered, pace.early)
         self._bad.in_a_row = pace.bad_plans
 

@@ -220,6 +220,7 @@ class EpisodeRunner:
         signal = self._signal(cycle)
         if signal is not None:
             await self._fire(signal, state)
+            self.session.keep_soon()  # what is brought back must be of the task that is under way
         await self.session.keep_if_due()
 
     def _signal(self, cycle: Cycle) -> Signal | None:

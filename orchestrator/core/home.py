@@ -11,7 +11,16 @@ from orchestrator.core.services import Reply, Services, Slot
 from shared.errors import MotionLoopError, NotFoundError, OverloadedError
 from shared.protocol.base import Message
 from shared.protocol.control import Health, HealthReport, Ok
-from shared.protocol.messages import CloseCharacter, Observe, Restore, SetTracker, Snapshot, StateFrame, TakeSnapshot
+from shared.protocol.messages import (
+    CloseCharacter,
+    CreateCharacter,
+    Observe,
+    Restore,
+    SetTracker,
+    Snapshot,
+    StateFrame,
+    TakeSnapshot,
+)
 
 PATIENCE_S, HEALTH_S = 1.0, 2.5
 """So a tracker that is gone is noticed early, where characters can be brought back: a false alarm costs little then."""
@@ -71,7 +80,8 @@ class Home:
                 left_s = max(until - time.monotonic(), BUSY_S)
                 return await self._slot.ask(kind, message, self._character_id, left_s, *noticed)
             except OverloadedError:
-                if time.monotonic() + BUSY_S >= until:
+                # A tracker that is full is not so for a moment: who asks for a character is told at once.
+                if isinstance(message, CreateCharacter) or time.monotonic() + BUSY_S >= until:
                     raise
                 await asyncio.sleep(BUSY_S)
 

@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 
 KEPT_FOR_VIDEO = 8
 OUTCOME_PATIENCE_S = 5.0
-DISK_RETRY_S = 1.0
+DISK_RETRY_S, LONGEST_RETRY_S = 1.0, 60.0
 RENDER_TIMEOUT_S = 900.0
 
 
@@ -311,21 +311,31 @@ class Orchestrator:
                 status="failed", reason=f"internal: {type(error).__name__}: {error}", success=False,
                 results=runner.results, ticks=runner.tick, plans=runner.session.loop.plans_made, missed_ticks=0,
             )  # fmt: skip
-        written = await live.tape.finish(runner.tick + 1)
+        written = await self._finished(live)
         self.store.episode_ended(runner.episode_id, outcome)
         await self.reader.written(OUTCOME_PATIENCE_S)  # who is told of the end may rely on it
         live.outcome = outcome
         runner.events.emit("end", runner.tick, status=outcome.status, success=outcome.success, reason=outcome.reason)
         runner.events.close()
         runner.session.states.close()
+        pause_s = DISK_RETRY_S
         while not written:
-            await asyncio.sleep(DISK_RETRY_S)
-            written = await live.tape.finish(runner.tick + 1)
+            await asyncio.sleep(pause_s)
+            pause_s = min(2.0 * pause_s, LONGEST_RETRY_S)
+            written = await self._finished(live)
         await live.tape.drop()
         live.written = True
         over = [key for key, episode in self.episodes.items() if episode.written]
         for episode_id in over[:-KEPT_FOR_VIDEO]:
             await self._let_go(episode_id)
+
+    async def _finished(self, live: LiveEpisode) -> bool:
+        """Whether its recording is one file; whatever hinders that, the episode ends."""
+        try:
+            return await live.tape.finish(live.runner.tick + 1)
+        except Exception:
+            log.exception("the recording of episode %s cannot be made", live.runner.episode_id)
+            return False
 
     async def _let_go(self, episode_id: str) -> None:
         live = self.episodes.pop(episode_id)

@@ -177,9 +177,13 @@ class Session:
         self.choose_scene()
         by_clock = self._choices.pacing == "realtime"
         self.loop.home.settle(kept.loop.endpoint)
-        state, rewound = await self.loop.home.find_again(
-            kept.snapshot, by_clock, self._services.rescue_s, lambda: self._given_up, MOST_AHEAD_TICKS
-        )
+        try:
+            state, rewound = await self.loop.home.find_again(
+                kept.snapshot, by_clock, self._services.rescue_s, lambda: self._given_up, MOST_AHEAD_TICKS
+            )
+        except BaseException:
+            self.loop.home.leave()
+            raise
         self._state, self.kept = state, kept
         self._driver = self._make_driver(state)
         self.loop.remember(kept.loop, kept.planned_w_m)

@@ -37,7 +37,7 @@ class Tape:
         self._pending: list[Recording] = []
         self._writing: asyncio.Task[None] | None = None
         self._kept: tuple[Keepsake, EpisodeState] | None = None
-        self._written_s = time.monotonic()
+        self._written_s = float("-inf")  # what is kept first is written at once
         self._refused = False
         runner.session.on_keep = self.keep
 
@@ -78,6 +78,7 @@ class Tape:
                 await self._take(stop_tick)
             except MotionLoopError as error:
                 self._runner.events.emit("recording_failed", self._runner.tick, reason=error.message)
+                self._recorded_to = stop_tick  # said once: the tracker will not have them later
         await self._write()
         if self._pending:
             return False

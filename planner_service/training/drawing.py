@@ -7,7 +7,7 @@ training was stopped before it or not, it is the same.
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, TypeVar
 
@@ -103,14 +103,20 @@ class NumberedWork(Dataset[Work]):
         return draw(self._sampler, self._config, self._shares, torch.Generator().manual_seed(seed), with_noise=False)
 
 
-def drawn_by_workers(source: NumberedWork, first: int, until: int, workers: int, pinned: bool) -> Iterator[Work]:
+def drawn_by_workers(
+    source: NumberedWork, first: int, until: int, workers: int, pinned: bool
+) -> Generator[Work, None, None]:
     """The work of steps `first` to `until` - 1 in order, drawn by processes that share the corpus' memory."""
     loader: DataLoader[Work] = DataLoader(
         source, batch_size=None, sampler=range(first, until), num_workers=workers, prefetch_factor=4,
         pin_memory=pinned, multiprocessing_context="fork", worker_init_fn=_settle,
         generator=torch.Generator(),  # else the loader draws a seed that nothing uses from the one of the dropout
     )  # fmt: skip
-    return iter(loader)
+    drawn = iter(loader)
+    try:
+        yield from drawn
+    finally:  # workers do not hear the SIGTERM that would end them at exit, and a traceback keeps the loader
+        drawn._shutdown_workers()  # type: ignore[attr-defined]
 
 
 def _settle(worker: int) -> None:

@@ -127,10 +127,18 @@ def rollouts(
         found = troubles(motion, prompt)
         way = float(np.linalg.norm(np.diff(motion[::10, 0, :2], axis=0), axis=-1).sum())
         measures = {name: round(value, 2) for name, value in quality([motion]).items()}
-        rows.append({"text": prompt.text, "good": not found, **found, "travelled_m": round(way, 1), **measures})
+        rows.append(
+            {
+                "text": prompt.text,
+                "good": not found and failed is None,
+                **found,
+                "travelled_m": round(way, 1),
+                **measures,
+            }
+        )
         shown.append((prompt.text, motion))
     counts = {name: sum(name in row for row in rows) for name in ("froze", "drifted", "exploded")}
-    good = 0 if failed else sum(bool(row["good"]) for row in rows)
+    good = sum(bool(row["good"]) for row in rows)
     return {
         "rollouts": len(PROMPTS), "seconds": seconds, "good": good, **counts, "ended_early": failed, "rows": rows
     }, shown  # fmt: skip

@@ -39,8 +39,8 @@ VARIANTS: dict[str, dict[str, Variant]] = {
     "shipped": {"as shipped, plans played whole": Variant()},
     "steps": {f"{n} steps": Variant({"steps": n}) for n in (3, 5, 10)},
     "guidance": {
-        **{f"guidance {g:g}": Variant({"guidance": g}) for g in (1.0, 2.5, 7.5)},
-        "guidance 5 in every step": Variant({"coarse_guidance": 5.0}),
+        **{f"guidance {g:g}": Variant({"guidance": g}) for g in (1.0, 2.5, 5.0, 7.5)},
+        "guidance 3 in every step": Variant({"coarse_guidance": 3.0}),
     },
     "noise": {f"prefix noise {mm:g} mm": Variant(prefix_noise_m=mm / 1000) for mm in (2.0, 5.0, 10.0)},
     "replan": {f"a new plan every {n / 20:g} s": Variant(replan_frames=n) for n in (10, 20, 30)},

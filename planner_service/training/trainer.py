@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
+from contextlib import closing
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -121,8 +122,11 @@ class Trainer:
         sums: dict[str, Tensor] = {}
         began, since = time.monotonic(), self.state.step
         last = began
-        with (self.out / "log.jsonl").open("a", encoding="utf-8") as log, SummaryWriter(str(self.out / "tb")) as board:
-            drawn = self._drawn(until)
+        with (
+            (self.out / "log.jsonl").open("a", encoding="utf-8") as log,
+            SummaryWriter(str(self.out / "tb")) as board,
+            closing(self._drawn(until)) as drawn,
+        ):
             while self.state.step < until and not stop():
                 for name, term in self.update(next(drawn)).items():
                     sums[name] = sums[name] + term if name in sums else term
@@ -151,13 +155,14 @@ class Trainer:
         """One update on work drawn now; the loss terms."""
         return {name: float(value) for name, value in self.update(next(self._drawn(self.state.step + 1))).items()}
 
-    def _drawn(self, until: int) -> Iterator[Work]:
+    def _drawn(self, until: int) -> Generator[Work, None, None]:
         """The work of the steps from the present one to before `until`."""
         if self.settings.workers:
             source = NumberedWork(self._sampler, self.config, self._shares, self.settings.seed)
             pinned = self.device.type == "cuda"
             yield from drawn_by_workers(source, self.state.step, until, self.settings.workers, pinned)
-        while not self.settings.workers:
+            return
+        while True:
             yield draw(self._sampler, self.config, self._shares, self._generator)
 
     def update(self, work: Work) -> dict[str, Tensor]:

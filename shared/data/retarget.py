@@ -146,11 +146,12 @@ def _calibrate_upright(raws: Sequence[RawMotion], marks: dict[str, int], segment
             ankle_at = _stack(raws, marks[f"{side}_ankle"])
             toe = _stack(raws, marks[f"{side}_toe"]) - ankle_at
             planted = _planted(raws, marks, side)
-            if planted.all():
-                # It never stands on that foot: on average it is held at a right angle to the shank.
-                frame = _square_frame(_stack(raws, marks[f"{side}_knee"]) - ankle_at, toe)
-            else:
+            if planted.any():
                 frame = _heading_frame(np.cross(_UP, toe))
+            else:
+                # It never stands on that foot: on average it is held at a right angle to the shank.
+                planted = np.ones_like(planted)
+                frame = _square_frame(_stack(raws, marks[f"{side}_knee"]) - ankle_at, toe)
             out[name] = _mean_rotation(np.swapaxes(g[planted], -1, -2) @ frame[planted])
         else:
             low = name == "pelvis" or name.endswith("_foot")
@@ -160,7 +161,7 @@ def _calibrate_upright(raws: Sequence[RawMotion], marks: dict[str, int], segment
 
 
 def _planted(raws: Sequence[RawMotion], marks: dict[str, int], side: str) -> Bools:
-    """Frames (all takes, concatenated) in which a foot is low and slow; all frames where none is."""
+    """Frames (all takes, concatenated) in which a foot is low and slow; none where they are fewer than five."""
     out = []
     for raw in raws:
         p = raw.positions_w_m[:, _joint(raw, raws, marks[f"{side}_ankle"])]
@@ -170,7 +171,7 @@ def _planted(raws: Sequence[RawMotion], marks: dict[str, int], side: str) -> Boo
         floor = np.percentile(np.minimum(p[:, 2], other), 10)
         out.append((speed < 0.15) & (p[:, 2] < floor + 0.04))
     mask = np.concatenate(out)
-    return mask if mask.sum() >= 5 else np.ones(len(mask), dtype=bool)
+    return mask if mask.sum() >= 5 else np.zeros(len(mask), dtype=bool)
 
 
 def _level_feet(
@@ -181,7 +182,7 @@ def _level_feet(
     for side in SIDES:
         name = f"{side}_foot"
         planted = _planted(raws, marks, side)
-        if planted.all() or name not in segments:
+        if not planted.any() or name not in segments:
             continue
         r = _rotations(raws, segments[name])[planted] @ constants[name]
         up = normalize(np.median(np.einsum("nji,j->ni", r, _UP), axis=0))  # the vertical in foot axes

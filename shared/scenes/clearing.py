@@ -27,7 +27,9 @@ def clear_of(scene: Scene, xy_m: npt.ArrayLike, room_m: float) -> Array:
         angle = np.deg2rad(body.heading_deg)
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         for part in () if body.ground else body.parts:
-            half = np.array(part.size_m[:2]) if part.shape == "box" else np.array([part.size_m[0]] * 2)
+            half = np.array(part.size_m[:2] if part.shape == "box" else [part.size_m[0]] * 2)
+            if any(part.rotation_deg):
+                half = np.full(2, sum(part.size_m))  # whichever way it is turned, it reaches no farther
             away = (points - body.position_w_m[:2]) @ turn - np.array(part.position_b_m[:2])
             free &= (np.abs(away) >= half + room_m).any(axis=1)
     return np.asarray(points[int(np.argmax(free))])

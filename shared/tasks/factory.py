@@ -16,7 +16,7 @@ import operator
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import Field
 
@@ -60,7 +60,14 @@ _BUILT_IN = (
     TaskKind(TextSpec, lambda spec, seed: TextTask(spec)),
     TaskKind(VelocitySpec, lambda spec, seed: VelocityTask(spec)),
 )
-BUILT_IN = tuple(kind.name for kind in _BUILT_IN)
+
+
+def _named(spec: type[BaseTaskSpec]) -> bool:
+    """Whether its `type` is one literal, which is also the default: requests are told apart by it."""
+    field = spec.model_fields.get("type")
+    return (
+        field is not None and get_origin(field.annotation) is Literal and get_args(field.annotation) == (field.default,)
+    )
 
 
 def _found() -> dict[str, TaskKind]:
@@ -72,7 +79,7 @@ def _found() -> dict[str, TaskKind]:
         except (ImportError, AttributeError) as error:
             log.warning("task %s is not offered: its package does not load: %s", point.name, error)
             continue
-        if not isinstance(kind, TaskKind) or "type" not in kind.spec.model_fields:
+        if not isinstance(kind, TaskKind) or not _named(kind.spec):
             log.warning("task %s is not offered: %s is no TaskKind with a `type`", point.name, point.value)
         elif kind.name in kinds:
             log.warning("task %s is not offered: the name %s is taken", point.name, kind.name)

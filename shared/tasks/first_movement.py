@@ -51,7 +51,7 @@ def first_movement(kind: str, before_w_m: Array, after_w_m: Array, fps: float) -
 
     Args:
         kind: one of them.
-        before_w_m: what led up to the change; at least a second of it tells what is new.
+        before_w_m: what led up to the change, its frame included; at least a second of it, which tells what is new.
         after_w_m: from the frame of the change on, that frame included.
         fps: of both.
 

@@ -168,6 +168,6 @@ class VelocitySpec(BaseTaskSpec):
     def _one_velocity(self) -> VelocitySpec:
         if (self.velocity_mps is None) == (self.relative_mps is None):
             raise ValueError("give velocity_mps or relative_mps")
-        if self.settle_s >= self.duration_s:
-            raise ValueError("settle_s must be below duration_s")
+        if self.duration_s - self.settle_s < 0.1:
+            raise ValueError("settle_s must be at least 0.1 s below duration_s")
         return self

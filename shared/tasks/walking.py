@@ -1,4 +1,4 @@
-"""What tasks with several parts are put together from: walking somewhere, stepping back, standing where it is."""
+"""What tasks with several parts are put together from: walking somewhere and stepping back."""
 
 from __future__ import annotations
 

@@ -113,14 +113,14 @@ def test_what_is_behind_a_motion_changes_nothing() -> None:
 
 
 def test_the_loss_takes_all_of_a_meaning_as_matches() -> None:
-    """Two pairs of one meaning at one place and one far off: every answer is right, so the loss is that of a tie."""
-    place = torch.tensor([[1.0, 0.0], [1.0, 0.0], [-1.0, 0.0]])
+    """Two sentences of one meaning, each at a right angle to its own motion and at the place of the other's."""
+    motion = torch.tensor([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
+    sentence = torch.tensor([[0.0, 1.0], [1.0, 0.0], [-1.0, 0.0]])
     fits = torch.tensor([[True, True, False], [True, True, False], [False, False, True]])
-    scale = torch.tensor(20.0)
-    tie = 2 / 3 * np.log(2)
-    assert abs(float(contrastive_loss(place, place, fits, scale)) - tie) < 1e-4
-    assert float(contrastive_loss(place, place, torch.eye(3, dtype=torch.bool), scale)) > tie - 1e-4
-    assert float(contrastive_loss(place, place.flip(0), fits, scale)) > 10.0
+    own, scale = torch.eye(3, dtype=torch.bool), torch.tensor(20.0)
+    # Rows and columns of the two: half of 20 where both match, 20 where only their own does; nothing of the third.
+    assert float(contrastive_loss(motion, sentence, fits, scale)) == pytest.approx(20 / 3, abs=1e-3)
+    assert float(contrastive_loss(motion, sentence, own, scale)) == pytest.approx(40 / 3, abs=1e-3)
 
 
 def test_stretches_lie_within_their_clips(material: Material) -> None:

@@ -76,6 +76,7 @@ def test_what_is_recorded_for_rise_was_performed(tmp_path: Path, monkeypatch: py
     assert CliRunner().invoke(app, [*arguments, "--out", str(out)]).exit_code == 0
     kept = sorted(out.glob("*.npz"))
     assert kept
+    assert all(sum(p.stem.startswith(side) for p in kept) <= 2 for side in ("up", "down", "side"))
     with np.load(kept[0]) as data:
         assert data["positions_w_m"].shape[1:] == (22, 3) and float(data["fps"]) == 30.0
         assert data["positions_w_m"][0, 0, 2] < 0.45

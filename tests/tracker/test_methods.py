@@ -33,11 +33,13 @@ def test_it_is_judged_at_every_mark_and_judging_takes_no_time() -> None:
 
 
 def test_runs_that_were_cut_off_are_done_again(tmp_path: Path) -> None:
-    rows = [{"method": m, "seed": s, "mark": k} for m, s, k in (("ppo", 0, 0), ("ppo", 0, 1), ("world", 0, 0))]
+    runs = (("ppo", 0, 0), ("ppo", 0, 1), ("world", 0, 0))
+    rows = [{"method": m, "seed": s, "mark": k, "mark_s": 60.0 * (k + 1)} for m, s, k in runs]
     path = tmp_path / "rows.jsonl"
-    assert finished(path, 2) == []
+    assert finished(path, [60.0, 120.0]) == []
     path.write_text("".join(json.dumps(row) + "\n" for row in rows))
-    assert finished(path, 2) == rows[:2]
+    assert finished(path, [60.0, 120.0]) == rows[:2]
+    assert finished(path, [150.0, 300.0]) == []  # the same marks at other times are other runs
 
 
 def test_the_table_has_mean_least_and_most_of_the_seeds() -> None:

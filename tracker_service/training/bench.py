@@ -39,7 +39,7 @@ def _microseconds(action: Callable[[], object], times: int) -> float:
     return statistics.median(rounds)
 
 
-def bench_tracker(tracker: str = "ppo", ticks: int = 60, envs: int = 64, seed: int = 0) -> dict[str, float | str]:
+def bench_tracker(tracker: str = "learned", ticks: int = 60, envs: int = 64, seed: int = 0) -> dict[str, float | str]:
     """Cost of one character that stands and follows its reference.
 
     Returns:
@@ -91,7 +91,7 @@ def _training_rate(envs: int, seed: int) -> float:
 def main(argv: list[str] | None = None) -> int:
     """Command line; the result as JSON on standard output and in `--json FILE`."""
     parser = argparse.ArgumentParser("tracker_service.training.bench", description=__doc__)
-    parser.add_argument("--tracker", default="ppo")
+    parser.add_argument("--tracker", default="learned")
     parser.add_argument("--ticks", type=int, default=60, help="ticks a round")
     parser.add_argument("--envs", type=int, default=64)
     parser.add_argument("--seed", type=int, default=0)

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from shared.errors import SimulationError
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.training.dataset import ReferenceSet
 from tracker_service.training.env import EnvSettings, StepResult, TrackingEnv
@@ -128,11 +129,15 @@ class ProcessEnv(TrackingEnv):
 
     def _ask(self, order: str) -> None:
         seed = int(self.rng.integers(2**62)) if order != "pull" else 0
-        for _, pipe in self._children:
-            pipe.send((order, seed))
-        # Noted in one order, whoever was first.
-        for _, pipe in self._children:
-            for ended in pipe.recv():
+        try:
+            for _, pipe in self._children:
+                pipe.send((order, seed))
+            told = [pipe.recv() for _, pipe in self._children]
+        except (EOFError, ConnectionError) as error:
+            raise SimulationError("a process of the environments has died; its own error is above") from error
+        # Noted in one order, and not before the last child has drawn from the same table.
+        for notes in told:
+            for ended in notes:
                 self.failures.note(*ended)
         self._bodies = None
 

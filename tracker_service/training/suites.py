@@ -36,7 +36,7 @@ PUSHES_NS = (10.0, 20.0, 40.0)
 DIRECTIONS = 16
 PUSH_TICK = 45
 AFTER_PUSH_S = 3.0
-SEAT_BANDS_M = (0.2, 0.3, 0.4, 0.5, 0.6)
+SEAT_BANDS_M = (0.0, 0.3, 0.4, 0.5, 0.6, 1.0)
 
 
 def jitter_mps2(pos_w_m: npt.NDArray[np.floating]) -> float:
@@ -136,7 +136,7 @@ def seats(human: Humanoid, settings: EnvSettings, policy: Policy, corpus: Corpus
     result["by_height"] = {
         f"{low:g}-{high:g}": {"clips": int(inside.sum()), "success": float(ok[inside].mean())}
         for low, high in zip(SEAT_BANDS_M[:-1], SEAT_BANDS_M[1:], strict=True)
-        if (inside := (heights >= low - 0.02) & (heights < high + (0.02 if high == SEAT_BANDS_M[-1] else 0.0))).any()
+        if (inside := (heights >= low) & (heights < high)).any()
     }
     return result
 

@@ -59,7 +59,7 @@ class WorldTrainer:
         torch.manual_seed(seed)
         self.human, self.heldout, self.out, self.settings = human, heldout_set, out, settings
         spread = env_settings.processes > 1
-        self._judged_as = env_settings.model_copy(update={"processes": 1})
+        self._judged_as = env_settings  # `ProcessEnv` keeps its own with one thread
         self.env = (ProcessEnv if spread else TrackingEnv)(human, train_set, env_settings, seed)
         heights = HEIGHTS if env_settings.heights else 0
         self.learner = Learner(human, train_set, env_settings, settings, self.env.observation_size, heights, device)

@@ -3,7 +3,7 @@
 import { send } from "./command.js";
 import { attempt, byId, el, icon, jointWords, setText } from "./dom.js";
 import { HANDLES, moveJoint } from "./keyfigure.js";
-import { emit, on, view } from "./store.js";
+import { on, view } from "./store.js";
 
 const LONGEST_S = 6;
 const FIRST_S = 1.5;
@@ -138,9 +138,10 @@ export function setUpKeys(figures) {
     view.key = key.id;
     strip.setPointerCapture(event.pointerId);
     const move = ({ clientX }) => change(key, { inS: within(((clientX - box.left) / box.width) * LONGEST_S) });
-    strip.addEventListener("pointermove", move);
-    strip.addEventListener("pointerup", () => strip.removeEventListener("pointermove", move), { once: true });
-    strip.addEventListener("pointercancel", () => strip.removeEventListener("pointermove", move), { once: true });
+    const over = new AbortController();
+    const until = { signal: over.signal };
+    strip.addEventListener("pointermove", move, until);
+    for (const end of ["pointerup", "pointercancel"]) strip.addEventListener(end, () => over.abort(), until);
   }
 
   function refresh() {
@@ -149,7 +150,6 @@ export function setUpKeys(figures) {
     byId("send-keys").disabled = view.keys.every((key) => jointsOf(key, joints).length === 0);
     byId("key-timeline").hidden = view.keys.length === 0;
     redraw();
-    emit("keys", view.keys);
   }
 
   function told() {

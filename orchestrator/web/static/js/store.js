@@ -13,7 +13,7 @@ export const view = {
   plan: null,
   command: null,
   task: null, // of a running episode
-  agenda: [], // of a running episode: [{ type, name, retries, state, tries, reason }]
+  agenda: [], // of a running episode: [{ type, limb, retries, state, tries, reason }]
   keys: [], // keyframes that are being edited or were sent, see keys.js
   key: null, // id of the one that is edited
   scene: null, // as the seed made it
