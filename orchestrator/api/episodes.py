@@ -11,7 +11,7 @@ from fastapi.responses import StreamingResponse
 from orchestrator.api.deps import Core, EpisodeId
 from orchestrator.api.models import EpisodeBody, EpisodeCreated, EpisodeList, InsertBody, TaskChanged
 from orchestrator.api.problems import RESPONSES
-from orchestrator.core.episode import EpisodeSpec
+from orchestrator.core.episode_spec import EpisodeSpec
 from orchestrator.core.manager import Orchestrator
 
 router = APIRouter(prefix="/v1/episodes", tags=["episodes"], responses=RESPONSES)

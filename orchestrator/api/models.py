@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from orchestrator.core.character import CharacterSession
 from orchestrator.core.command import Command
-from orchestrator.core.episode import EpisodeOutcome, EpisodeSpec
+from orchestrator.core.episode_spec import EpisodeOutcome, EpisodeSpec
 from orchestrator.core.scenes import name_of
 from orchestrator.rest import CharacterFields, CommandReading, EpisodeFields, StateFields
 from shared.motion.heading import hips_heading

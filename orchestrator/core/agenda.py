@@ -42,6 +42,7 @@ class Agenda:
         self._seed = seed
         self._to_come = list(range(len(self.tasks)))
         self._attempts: dict[int, int] = {}
+        self._followed_by: dict[int, int | None] = {}
         if order == "random":
             np.random.default_rng(plan_seed(seed, -1)).shuffle(self._to_come)
 
@@ -69,6 +70,12 @@ class Agenda:
         """
         if len(self.tasks) >= MAX_TASKS:
             raise ConflictError(f"it has {len(self.tasks)} tasks already", field="task", allowed=f"{MAX_TASKS}")
+        index = self._add(task, place)
+        following = self._to_come.index(index) + 1
+        self._followed_by[index] = self._to_come[following] if following < len(self._to_come) else None
+        return index
+
+    def _add(self, task: TaskSpec, place: int) -> int:
         self.tasks.append(task)
         self.longest_s += _longest_s(task)
         self._to_come.insert(place, len(self.tasks) - 1)
@@ -83,6 +90,18 @@ class Agenda:
         self.tasks, self._to_come = list(state.tasks), list(state.to_come)
         self._attempts = dict(state.attempts)
         self.longest_s = SPARE_S + sum(_longest_s(task) for task in self.tasks)
+
+    def put_back(self, state: AgendaState) -> None:
+        """As it was when it told `state`; but what was added since stays added, before the same tasks."""
+        added = self.tasks[len(state.tasks) :]
+        self.remember(state)
+        for task in added:
+            following = self._followed_by[len(self.tasks)]
+            if following is None:
+                self._add(task, len(self._to_come))
+            else:
+                # What it was to come before may be the task that is performed once more: it comes next, then.
+                self._add(task, self._to_come.index(following) if following in self._to_come else 0)
 
     def make(self, index: int) -> Task:
         """A task of the agenda, ready to be started; one that has failed as it is tried again."""

@@ -27,12 +27,14 @@ class Cycle:
     Attributes:
         trace: the ticks after the previous cycle's up to the state's own.
         planner_error: why no plan came, or None.
+        put_back: the character's tracker was lost: it is what was kept of it earlier, and this cycle let no time pass.
     """
 
     state: StateFrame
     trace: Trace
     plans: tuple[PlanTiming, ...] = ()
     planner_error: str | None = None
+    put_back: bool = False
 
 
 class Driver(Protocol):

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Awaitable, Callable
 from dataclasses import asdict, replace
-from typing import Annotated, Literal
-
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from typing import Literal
 
 from orchestrator.core.agenda import Agenda
 from orchestrator.core.drivers import Cycle
+from orchestrator.core.episode_spec import EpisodeOutcome, EpisodeSpec
 from orchestrator.core.events import EventLog
 from orchestrator.core.keepsake import EpisodeState, Keepsake, MachineView
 from orchestrator.core.loop import view_of
@@ -22,65 +22,22 @@ from orchestrator.core.machine import (
     transition,
     with_limit,
 )
-from orchestrator.core.on_fall import Down, OnFall, get_up_goal
-from orchestrator.core.performing import Performing
-from orchestrator.core.scenes import SceneChoice
+from orchestrator.core.on_fall import Down, get_up_goal
+from orchestrator.core.performing import Performing, props_of
 from orchestrator.core.services import Services
-from orchestrator.core.session import Session
-from orchestrator.core.settings import LoopSettings
+from orchestrator.core.session import PutBackError, Session
 from orchestrator.rest import TaskResult
 from shared.errors import ConflictError, MotionLoopError, NotFoundError, TransportError
-from shared.protocol.base import Name
-from shared.protocol.messages import TICK_HZ, Pacing, Seed, SetObject, StateFrame
+from shared.protocol.messages import TICK_HZ, StateFrame
 from shared.tasks.factory import TaskSpec
 from shared.tasks.interface import BodyView, PlanGoal, Trace, Verdict
 from shared.tasks.rules import SAFE_TICKS
-from shared.tasks.specs import TimeLimit
 from shared.text.wording import STAND_TEXT
+
+log = logging.getLogger(__name__)
 
 STOOD_UP_TICKS = 15
 REPORT_TICKS = 15
-
-
-class EpisodeSpec(BaseModel):
-    """What to do, with what, and how.
-
-    Attributes:
-        order: `random` shuffles the tasks by the seed.
-        on_fall: after a fall the task has failed, and the character is put on its feet, gets up (and is put on its feet
-            where it does not manage to), or stays down for the tasks that follow.
-        loop: settings of the loop; None for the defaults of the pacing.
-        time_limit_s: simulated seconds for all tasks together; None for the sum of theirs.
-        heading_rad: which way the character faces at the start.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-    name: Annotated[str, Field(max_length=80)] | None = None
-    character: Name = "human"
-    scene: SceneChoice = "flat"
-    tasks: Annotated[list[TaskSpec], Field(min_length=1, max_length=200)]
-    order: Literal["sequence", "random"] = "sequence"
-    seed: Seed = 0
-    pacing: Pacing = "lockstep"
-    time_limit_s: TimeLimit | None = None
-    planner: Name | None = None
-    tracker: Name | None = None
-    loop: LoopSettings | None = None
-    on_fall: OnFall = "reset"
-    heading_rad: Annotated[FiniteFloat, Field(ge=-100, le=100)] = 0.0
-
-
-class EpisodeOutcome(BaseModel):
-    """How the episode ended."""
-
-    model_config = ConfigDict(frozen=True)
-    status: Literal["finished", "failed", "cancelled"]
-    reason: str | None
-    success: bool
-    results: list[TaskResult]
-    ticks: int
-    plans: int
-    missed_ticks: int
 
 
 class EpisodeRunner:
@@ -114,7 +71,8 @@ class EpisodeRunner:
         self._machine = MachineState()
         self._running: Performing | None = None
         self._resume_from: Keepsake | None = None
-        self._skipped = False
+        self._at_kept: tuple[EpisodeState, Performing | None] | None = None
+        self._skips: set[int] = set()
         self._down = Down()
         self._cancelled = False
         self._reason: str | None = None
@@ -138,7 +96,7 @@ class EpisodeRunner:
         """
         if self._running is None or self.phase not in (Phase.ACTING, Phase.SETTLING):
             raise ConflictError(f"no task is being performed, the episode is {self.phase}", field="id")
-        self._skipped = True
+        self._skips.add(self._running.index)
         return self._running.index
 
     def insert(self, task: TaskSpec, place: int) -> int:
@@ -147,6 +105,7 @@ class EpisodeRunner:
             raise ConflictError(f"the episode is {self.phase}", field="id")
         task.check(self.session.scene)
         index = self._agenda.insert(task, place)
+        self.session.keep_soon()
         self.events.emit("task_inserted", self.tick, index=index, place=place, task=task.model_dump(mode="json"))
         return index
 
@@ -160,6 +119,7 @@ class EpisodeRunner:
             down=self._down.is_so,
             missed_ticks=self._missed,
             last_report=self._last_report,
+            reason=self._reason,
         )
 
     def take_up(self, state: EpisodeState, kept: Keepsake, trace: Trace) -> None:
@@ -169,44 +129,62 @@ class EpisodeRunner:
             state, kept: as that process wrote them.
             trace: what had happened by then, from tick 0.
         """
-        self.tick, self._missed, self._last_report = kept.tick, state.missed_ticks, state.last_report
-        self._machine = MachineState(**state.machine.model_dump())
         self._agenda.remember(state.agenda)
-        self.results, self._down.is_so = list(state.results), state.down
+        self._set(state, kept.tick)
         if (doing := state.performing) is not None:
             task, scene = self._agenda.make(doing.index), self.session.choose_scene()
             since = trace.since(doing.begin_tick)
             self._running = Performing.again(doing, task, since, self.spec.character, scene)
         self._resume_from = kept
+        self._at_kept = state, self._running
+
+    def _set(self, state: EpisodeState, tick: int) -> None:
+        """All but agenda and task as they were at a tick."""
+        self.tick, self._missed, self._last_report = tick, state.missed_ticks, state.last_report
+        self._machine = MachineState(**state.machine.model_dump())
+        self.results, self._down.is_so, self._reason = list(state.results), state.down, state.reason
 
     async def run(self) -> EpisodeOutcome:
         """Create the character, perform the tasks, say how it went. Never raises for what services do."""
         try:
             if self._resume_from is None:
-                await self._fire(Signal.START, await self.session.start())
-                await self.session.keep_if_due()
+                await self.session.start()
+                await self._keep()
             else:
                 await self.session.take_up(self._resume_from)
                 self.events.emit("resumed", self._resume_from.tick, phase=self._machine.phase)
             while not self._machine.over:
                 await self._turn()
         except (TransportError, NotFoundError) as error:
-            self._reason = "cancelled" if self._cancelled else f"the tracker is gone: {error.message}"
-            await self._fire(Signal.CANCEL if self._cancelled else Signal.TRACKER_LOST, None)
+            await self._end_with(f"the tracker is gone: {error.message}")
         except MotionLoopError as error:
-            self._reason = error.message
-            await self._fire(Signal.TRACKER_LOST, None)
+            await self._end_with(error.message)
         finally:
             await self.session.stop()
         return self._outcome()
 
+    async def _end_with(self, reason: str) -> None:
+        """What is needed to go on is not there."""
+        if not self._machine.over:
+            self._reason = "cancelled" if self._cancelled else reason
+            await self._fire(Signal.CANCEL if self._cancelled else Signal.TRACKER_LOST, None)
+
     def _rewind(self, tick: int) -> None:
-        """The character was put back to `tick`: what was seen of it after that has not happened."""
-        self.tick = tick
-        if self._running is not None:
-            self._running.forget_after(tick)
+        """The character was put back to what was kept at `tick`, and so is all that was done with it since."""
+        if self._at_kept is None:
+            raise ConflictError("a character was put back of which nothing was kept")
+        state, running = self._at_kept
+        self._agenda.put_back(state.agenda)
+        self._set(state, tick)
+        self._running = running
+        if running is not None and state.performing is not None:
+            self._running = running.put_back(state.performing, self._agenda.make(running.index), tick)
+        self._at_kept = state, self._running
 
     async def _turn(self) -> None:
+        if self._machine.phase is Phase.CREATED:
+            await self._act(Signal.START, self.session.state)
+            return
         cycle = await self.session.cycle(self._goal)
         state = cycle.state
         self.tick, self._missed = state.tick, state.missed_ticks
@@ -217,11 +195,29 @@ class EpisodeRunner:
             self._report(state)
         if self._on_cycle is not None:
             await self._on_cycle(cycle)
-        signal = self._signal(cycle)
-        if signal is not None:
+        # What is shown by a character that was put back was acted on before that.
+        signal = None if cycle.put_back else self._signal(cycle)
+        if signal is None:
+            await self._keep()
+        else:
+            await self._act(signal, state)
+
+    async def _act(self, signal: Signal, state: StateFrame) -> None:
+        """Do all that a signal brings with it, and keep the character as it is then: what is brought back must be of
+        the task that is under way. Where the tracker is lost meanwhile, nothing of it was done."""
+        try:
             await self._fire(signal, state)
-            self.session.keep_soon()  # what is brought back must be of the task that is under way
-        await self.session.keep_if_due()
+            self.session.keep_soon()
+            await self._keep()
+        except PutBackError as error:
+            log.info("episode %s: %s", self.episode_id, error.message)
+
+    async def _keep(self) -> None:
+        """Keep character and tasks, if it is time. An end that cannot be kept would lack its last ticks."""
+        before = self.session.kept
+        await self.session.keep_if_due(last=self._machine.over and not self._cancelled)
+        if self.session.kept is not before:
+            self._at_kept = self.remembered(), self._running
 
     def _signal(self, cycle: Cycle) -> Signal | None:
         """The most important thing that the cycle showed."""
@@ -237,7 +233,7 @@ class EpisodeRunner:
             self._reason = state.failure
             return Signal.PHYSICS_FAILED
         running = self._running
-        if self._skipped and running is not None and phase in (Phase.ACTING, Phase.SETTLING):
+        if running is not None and running.index in self._skips and phase in (Phase.ACTING, Phase.SETTLING):
             self._reason = "skipped"
             return Signal.TASK_FAILED if phase is Phase.ACTING else Signal.SETTLED
         trace = running.trace() if performing and running is not None else None
@@ -295,18 +291,11 @@ class EpisodeRunner:
     async def _begin(self, state: StateFrame) -> None:
         index, task = self._agenda.take()
         view = replace(view_of(state), scene=self.session.scene)
-        for name, pose in task.props(view).items():
-            x, y, z, *quat = (float(v) for v in pose)
-            still = (0.0, 0.0, 0.0)
-            move = SetObject(
-                name=name, position_w_m=(x, y, z), quat_w=(quat[0], quat[1], quat[2], quat[3]),
-                linvel_w_mps=still, angvel_w_radps=still,
-            )  # fmt: skip
+        for move in props_of(task, view):
             state = await self.session.ask(StateFrame, move)
             view = replace(view_of(state), scene=self.session.scene)
-            self.events.emit("object_set", state.tick, name=name)
-        task.start(view)
-        self._running = Performing(index, task, state.tick)
+            self.events.emit("object_set", state.tick, name=move.name)
+        self._running = Performing(index, task, view)
         self.session.replan_now()
         self.events.emit("task_begin", state.tick, index=index, task=task.kind, label=task.label)
 
@@ -314,29 +303,14 @@ class EpisodeRunner:
         running = self._running
         if running is None:
             return
-        self._running, skipped, self._skipped = None, self._skipped, False
+        self._running, skipped = None, running.index in self._skips
         trace = running.trace()
         verdict = running.task.judge(trace) if len(trace) else Verdict(False, False, False, False, 0.0, {})
         reason = "skipped" if skipped else None if verdict.strict else self._why_not(signal, verdict)
         if reason is not None and not skipped and not self._machine.over and self._agenda.again(running.index):
             self.events.emit("task_missed", self.tick, index=running.index, task=running.task.kind, reason=reason)
             return
-        spec = self._agenda.tasks[running.index]
-        result = TaskResult(
-            index=running.index,
-            name=spec.name or running.task.label,
-            type=running.task.kind,
-            label=running.task.label,
-            success_strict=verdict.strict and not skipped,
-            success_paper=verdict.paper,
-            success_code=verdict.code,
-            fell=verdict.fell,
-            seconds=round(verdict.seconds, 3),
-            start_tick=running.begin_tick,
-            stop_tick=self.tick,
-            reason=reason,
-            measures={name: round(value, 4) for name, value in verdict.measures.items()},
-        )
+        result = running.result(verdict, self._agenda.tasks[running.index].name, self.tick, reason)
         self.results.append(result)
         self.events.emit("task_end", self.tick, **result.model_dump())
 

@@ -79,6 +79,7 @@ class EpisodeState(BaseModel):
     down: bool
     missed_ticks: int
     last_report: int
+    reason: str | None = None
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from orchestrator.core.character import CharacterSession, CharacterSpec
-from orchestrator.core.episode import EpisodeOutcome, EpisodeRunner, EpisodeSpec
+from orchestrator.core.episode import EpisodeRunner
+from orchestrator.core.episode_spec import EpisodeOutcome, EpisodeSpec
 from orchestrator.core.events import EventLog
 from orchestrator.core.loop import trace_from
 from orchestrator.core.services import Services, Slot

@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from orchestrator.rest import TaskResult
 from shared.motion.characters import build
+from shared.protocol.messages import SetObject
 from shared.scenes.schema import Scene
 from shared.tasks.growing import GrowingTrace
-from shared.tasks.interface import BodyView, PlanGoal, Task, Trace
+from shared.tasks.interface import BodyView, PlanGoal, Task, Trace, Verdict
 from shared.tasks.rules import leaning, with_falls
 
 
@@ -32,16 +34,18 @@ class Performing:
 
     Args:
         index: in the episode.
-        task: started.
-        begin_tick: when it began.
+        task: not yet started.
+        begin: the body when it begins.
     """
 
-    def __init__(self, index: int, task: Task, begin_tick: int):
+    def __init__(self, index: int, task: Task, begin: BodyView):
         self.index = index
         self.task = task
-        self.begin_tick = begin_tick
-        self.seen = GrowingTrace(begin_tick + 1)
-        self._goals: list[tuple[int, int]] = []
+        self.begin_tick = begin.tick
+        self.seen = GrowingTrace(begin.tick + 1)
+        self._begin = begin
+        self._goals: list[tuple[BodyView, int]] = []
+        task.start(begin)
 
     @classmethod
     def again(cls, state: PerformingState, task: Task, trace: Trace, character: str, scene: Scene | None) -> Performing:
@@ -53,8 +57,7 @@ class Performing:
             character: of the registry.
             scene: as its seed made it.
         """
-        task.start(replace(_view(trace, state.begin_tick, character), scene=scene))
-        performing = cls(state.index, task, state.begin_tick)
+        performing = cls(state.index, task, replace(_view(trace, state.begin_tick, character), scene=scene))
         for view_tick, plan_tick in state.goals:
             performing.goal(_view(trace, view_tick, character), plan_tick)
         performing.seen.add(trace)
@@ -62,23 +65,30 @@ class Performing:
 
     def state(self) -> PerformingState:
         """For `again`."""
-        return PerformingState(index=self.index, begin_tick=self.begin_tick, goals=list(self._goals))
+        goals = [(view.tick, plan_tick) for view, plan_tick in self._goals]
+        return PerformingState(index=self.index, begin_tick=self.begin_tick, goals=goals)
 
     def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
         """What the task asks for."""
-        self._goals.append((view.tick, plan_tick))
+        self._goals.append((view, plan_tick))
         return self.task.goal(view, plan_tick)
 
     def add(self, trace: Trace) -> None:
         """What has happened since."""
         self.seen.add(trace)
 
-    def forget_after(self, tick: int) -> None:
-        """The character was put back to `tick`."""
-        known = self.seen.trace().until(tick)
-        self.seen = GrowingTrace(self.begin_tick + 1)
-        self.seen.add(known)
-        self._goals = [(view, plan) for view, plan in self._goals if view <= tick]
+    def put_back(self, state: PerformingState, task: Task, tick: int) -> Performing:
+        """As it was when it told `state`: what it has been asked and has seen since has not happened.
+
+        Args:
+            task: the same, not yet started.
+            tick: to which the character was put back.
+        """
+        performing = Performing(self.index, task, self._begin)
+        for view, plan_tick in self._goals[: len(state.goals)]:
+            performing.goal(view, plan_tick)
+        performing.seen.add(self.seen.trace().until(tick))
+        return performing
 
     def trace(self) -> Trace:
         """Everything since the task began; a body on the floor has fallen, unless the task may want it there."""
@@ -94,6 +104,38 @@ class Performing:
             and len(self.seen) > 0
             and leaning(self.seen.trace().pos_w_m[-1])
         )
+
+    def result(self, verdict: Verdict, name: str | None, stop_tick: int, reason: str | None) -> TaskResult:
+        """How it went; `reason` says why it did not succeed."""
+        return TaskResult(
+            index=self.index,
+            name=name or self.task.label,
+            type=self.task.kind,
+            label=self.task.label,
+            success_strict=reason is None,
+            success_paper=verdict.paper,
+            success_code=verdict.code,
+            fell=verdict.fell,
+            seconds=round(verdict.seconds, 3),
+            start_tick=self.begin_tick,
+            stop_tick=stop_tick,
+            reason=reason,
+            measures={name: round(value, 4) for name, value in verdict.measures.items()},
+        )
+
+
+def props_of(task: Task, view: BodyView) -> list[SetObject]:
+    """The objects that a task wants elsewhere before it begins, put there and at rest."""
+    still = (0.0, 0.0, 0.0)
+    out: list[SetObject] = []
+    for name, pose in task.props(view).items():
+        x, y, z, *quat = (float(v) for v in pose)
+        move = SetObject(
+            name=name, position_w_m=(x, y, z), quat_w=(quat[0], quat[1], quat[2], quat[3]),
+            linvel_w_mps=still, angvel_w_radps=still,
+        )  # fmt: skip
+        out.append(move)
+    return out
 
 
 def _view(trace: Trace, tick: int, character: str) -> BodyView:

@@ -6,6 +6,7 @@ Whoever drives it brings a goal source, which is asked at every plan, and judges
 from __future__ import annotations
 
 import contextlib
+import logging
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import asdict
@@ -38,11 +39,20 @@ from shared.scenes.clearing import clear_of
 from shared.scenes.schema import Scene
 from shared.tasks.interface import Trace
 
+log = logging.getLogger(__name__)
+
 MOST_AHEAD_TICKS = 1800
 """A character that went on by itself for longer than this is put back to what was kept of it."""
 
 ROOM_M = 0.35
 """A body that is put on its feet needs so much room round its pelvis."""
+
+
+class PutBackError(TransportError):
+    """The tracker was lost while it was asked for something, and the character is now what was kept of it earlier: who
+    drives it goes on from there, and asks again when it comes to that."""
+
+    code = "put_back"
 
 
 class Choices(Protocol):
@@ -99,7 +109,8 @@ class Session:
         lost: why its tracker is being looked for, or None.
         log_from_tick: from when on the tracker has its log.
         on_keep: called with what is about to be kept; where it raises a MotionLoopError the older one stays.
-        on_rewind: called with the tick to which the character was put back.
+        on_rewind: called with the tick to which the character was put back. Who sets it has gone back with it, so that
+            what was asked for when the tracker was lost is not asked again (PutBackError).
     """
 
     def __init__(
@@ -199,12 +210,12 @@ class Session:
     async def ask(self, kind: type[Reply], message: Message) -> Reply:
         """The tracker's reply; where the tracker is lost, the reply of the one that the character was brought back at.
 
-        Raises as `CharacterLoop.ask_tracker`.
+        Raises as `CharacterLoop.ask_tracker`, and PutBackError.
         """
         try:
             return await self.loop.ask_tracker(kind, message)
         except (TransportError, NotFoundError) as error:
-            await self._come_back(error)
+            await self._come_back_to_ask(error)
             return await self.loop.ask_tracker(kind, message)
 
     async def cycle(self, source: GoalSource, max_ticks: int | None = None) -> Cycle:
@@ -240,27 +251,49 @@ class Session:
         """Let the next `keep_if_due` keep it."""
         self._keep_due = True
 
-    async def keep_if_due(self) -> None:
+    async def keep_if_due(self, last: bool = False) -> None:
         """`keep`, once after each plan; called when all that a cycle has shown was acted on."""
         if self._keep_due:
-            await self.keep()
+            await self.keep(last)
 
-    async def keep(self) -> None:
-        """Keep what it can be brought back from. What cannot be had now is had later: the older one stays."""
+    async def keep(self, last: bool = False) -> None:
+        """Keep what it can be brought back from. What cannot be had now is had later: the older one stays.
+
+        Args:
+            last: there is no later: where the tracker is lost, the character is brought back.
+
+        Raises PutBackError where it is `last`, or what was raised by a tracker that stays lost.
+        """
         self._keep_due = False
-        if self._driver is None or (self._services.rescue_s <= 0 and self.on_keep is None):
+        driver = self._driver
+        if driver is None or (self._services.rescue_s <= 0 and self.on_keep is None):
             return
-        with contextlib.suppress(MotionLoopError):
-            snapshot = await self.loop.ask_tracker(Snapshot, TakeSnapshot())
-            known, planned_w_m = self.loop.remembered()
-            kept = Keepsake(snapshot, known, self._driver.pace(), planned_w_m)
-            if self.on_keep is not None:
-                await self.on_keep(kept)
-            self.kept = kept
+        try:
+            await self._keep(driver)
+        except (TransportError, NotFoundError) as error:
+            if last:
+                await self._come_back_to_ask(error)
+                await self._keep(driver)
+        except MotionLoopError as error:
+            log.warning("nothing is kept of character %s at tick %d: %s", self.loop.character_id, self.tick, error)
+
+    async def _keep(self, driver: Driver) -> None:
+        snapshot = await self.loop.ask_tracker(Snapshot, TakeSnapshot())
+        known, planned_w_m = self.loop.remembered()
+        kept = Keepsake(snapshot, known, driver.pace(), planned_w_m)
+        if self.on_keep is not None:
+            await self.on_keep(kept)
+        self.kept = kept
 
     def give_up(self) -> None:
         """Do not look for a tracker that was lost any more."""
         self._given_up = True
+
+    async def _come_back_to_ask(self, error: MotionLoopError) -> None:
+        """`_come_back`; raises PutBackError where what failed is not to be asked again."""
+        cycle = await self._come_back(error)
+        if cycle.put_back and self.on_rewind is not None:
+            raise PutBackError(f"the character was put back to tick {cycle.state.tick}: {error.message}") from error
 
     async def _come_back(self, error: MotionLoopError) -> Cycle:
         """Look for the character, or bring it back from what was kept; raises `error` where that cannot be done."""
@@ -294,14 +327,14 @@ class Session:
             seconds=round(time.monotonic() - began_s, 3),
         )
         nothing = Trace(state.tick + 1, np.zeros((0, len(CANONICAL), 3)), np.zeros(0, dtype=bool))
-        return Cycle(state, nothing)
+        return Cycle(state, nothing, put_back=rewound)
 
     async def reset(self) -> StateFrame:
-        """Put it on its feet where it is, or beside what stands there, and plan anew."""
+        """Put it on its feet where it is, or beside what stands there, and plan anew. Raises PutBackError, as `ask`."""
         try:
             self._state = await self.loop.reset(self._free_place())
         except (TransportError, NotFoundError) as error:
-            await self._come_back(error)
+            await self._come_back_to_ask(error)
             self._state = await self.loop.reset(self._free_place())
         if self._driver is not None:
             await self._driver.drop_plan()

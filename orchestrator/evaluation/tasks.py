@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from orchestrator.core.agenda import task_seed
-from orchestrator.core.episode import EpisodeOutcome, EpisodeRunner, EpisodeSpec
+from orchestrator.core.episode import EpisodeRunner
+from orchestrator.core.episode_spec import EpisodeOutcome, EpisodeSpec
 from orchestrator.core.events import EventLog
 from orchestrator.core.services import Services
 from orchestrator.core.settings import VARIANTS

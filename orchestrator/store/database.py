@@ -17,7 +17,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
-from orchestrator.core.episode import EpisodeOutcome, EpisodeSpec
+from orchestrator.core.episode_spec import EpisodeOutcome, EpisodeSpec
 from orchestrator.rest import Event
 from shared.errors import NotFoundError
 

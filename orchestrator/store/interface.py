@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, ParamSpec, Protocol, TypeVar
 
-from orchestrator.core.episode import EpisodeOutcome, EpisodeSpec
+from orchestrator.core.episode_spec import EpisodeOutcome, EpisodeSpec
 from orchestrator.rest import Event
 
 P = ParamSpec("P")

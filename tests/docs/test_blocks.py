@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from orchestrator.client import Client
-from orchestrator.core.episode import EpisodeSpec
+from orchestrator.core.episode_spec import EpisodeSpec
 from shared.scenes.schema import Scene
 from tests.docs.blocks import PAGES, REPO, blocks_of, pages_with, script
 from tests.docs.conftest import Served

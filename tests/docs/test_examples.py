@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from orchestrator.client import Client
-from orchestrator.core.episode import EpisodeSpec
+from orchestrator.core.episode_spec import EpisodeSpec
 from orchestrator.core.scenes import Scenes
 from shared.plugins.conformance import check_planner_endpoint, check_tracker_endpoint
 from shared.plugins.interfaces import Planner, Tracker

@@ -62,10 +62,10 @@ def check_whole(recording: Path, stop_tick: int) -> None:
 
 
 def test_a_lockstep_episode_is_the_same_with_and_without_the_death_of_its_tracker(tmp_path: Path) -> None:
-    """Tick by tick: it goes on from the snapshot of its last plan as if nothing had been. In the midst of a task: what
-    dies as one begins is brought back with the goals of the new one (docs/operations.md)."""
+    """Tick by tick: it goes on from the snapshot of its last plan as if nothing had been. In the midst of a task;
+    test_put_back.py has the other moments."""
     options = light(tmp_path / "data", write_library(tmp_path / "library"))
-    spec = {"tasks": TASKS, "pacing": "lockstep", "seed": 3, "planner": "clip", "tracker": "kinematic"}
+    spec = {"tasks": TASKS, "pacing": "lockstep", "seed": 3, "planner": "clip", "tracker": "pd"}
     with Stack(options) as stack, httpx.Client(base_url=stack.url, timeout=120.0) as http, Client(stack.url) as client:
         told, wanted = play(http, spec)
         with kept_up(stack):

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.core.episode import EpisodeOutcome, EpisodeSpec
+from orchestrator.core.episode_spec import EpisodeOutcome, EpisodeSpec
 from orchestrator.export.formats import to_bvh, to_csv
 from orchestrator.rest import Event
 from orchestrator.store.database import SqliteStore
