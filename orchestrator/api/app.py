@@ -28,6 +28,8 @@ from shared.protocol.security import CurveKeys, load_curve_keys
 from shared.protocol.transport import Kind
 
 VERSION = "0.1.0"
+SPARES_S = 15.0
+"""So long the start waits for all spare trackers together: one that is down holds nothing up."""
 
 
 async def connect_patiently(
@@ -45,25 +47,37 @@ async def connect_patiently(
 
 
 async def open_orchestrator(settings: OrchestratorSettings) -> Orchestrator:
-    """Connect to both services and open the store."""
+    """Connect to both services and open the store. A spare tracker that is not there is taken in once it is."""
     curve = None if settings.curve_dir is None else load_curve_keys(settings.curve_dir, "client")
     limit = settings.connect_timeout_s
-    wanted: list[tuple[str, Kind, str | None]] = [
-        (settings.planner, "planner", settings.planner_plugin),
-        *((endpoint, "tracker", settings.tracker_plugin) for endpoint in (settings.tracker, *settings.spare_trackers)),
-    ]
-    slots: list[Slot] = []
+    planner = await connect_patiently(settings.planner, "planner", settings.planner_plugin, curve, limit)
     try:
-        for endpoint, kind, plugin in wanted:
-            slots.append(await connect_patiently(endpoint, kind, plugin, curve, limit))
+        tracker = await connect_patiently(settings.tracker, "tracker", settings.tracker_plugin, curve, limit)
     except BaseException:
-        for slot in slots:
-            await slot.client.close()
+        await planner.client.close()
         raise
-    planner, tracker, *spares = slots
+    services = Services(planner, tracker, Scenes(settings.scenes), rescue_s=settings.rescue_s)
+    try:
+        await _take_spares_in(services, settings, curve)
+        return await _open_on(services, settings, curve)
+    except BaseException:
+        await services.close()
+        raise
+
+
+async def _take_spares_in(services: Services, settings: OrchestratorSettings, curve: CurveKeys | None) -> None:
+    until = time.monotonic() + min(SPARES_S, settings.connect_timeout_s)
+    for endpoint in settings.spare_trackers:
+        left_s = max(until - time.monotonic(), 0.5)
+        try:
+            services.spares.append(await connect_patiently(endpoint, "tracker", settings.tracker_plugin, curve, left_s))
+        except UnavailableError:
+            services.expect(endpoint, settings.tracker_plugin, curve)
+
+
+async def _open_on(services: Services, settings: OrchestratorSettings, curve: CurveKeys | None) -> Orchestrator:
     store = await asyncio.to_thread(SqliteStore, settings.data_dir)
-    services = Services(planner, tracker, Scenes(settings.scenes), spares, settings.rescue_s)
-    core = Orchestrator(services, store, settings.max_running, curve)
+    core = Orchestrator(services, store, settings.max_running, curve, settings.unwritten_mb)
     await core.recover()
     return core
 

@@ -31,6 +31,9 @@ class _Now(Collector):
         yield GaugeMetricFamily(
             "motionloop_degraded", "Characters without a planner", sum(s.status == "degraded" for s in sessions)
         )
+        yield GaugeMetricFamily(
+            "motionloop_recordings_unwritten_bytes", "Recorded and not yet written", core.backlog.held_bytes
+        )
         yield CounterMetricFamily("motionloop_store_failed_writes", "Refused writes", core.store.failed_writes)
 
 

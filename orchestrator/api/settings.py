@@ -33,6 +33,8 @@ class OrchestratorSettings(Settings):
             at another.
         rescue_s: how long a character whose tracker was lost is tried to be brought back before it has failed.
         max_running: characters and episodes at once.
+        unwritten_mb: recordings that a full disk refuses are held in memory up to this, of all episodes together.
+            Beyond it their ticks stay with the trackers until the disk takes them, and no episode is begun.
         swap_endpoints: where a service may be swapped to, beside `planner` and `tracker`. Without any, a server on
             loopback swaps to wherever it is told and one beyond it nowhere else.
         max_body_bytes, max_rate_per_s: of one request; requests of one caller.
@@ -58,6 +60,7 @@ class OrchestratorSettings(Settings):
     spare_trackers: Names = ()
     rescue_s: Annotated[float, Field(ge=0, le=3600)] = 60.0
     max_running: Annotated[int, Field(ge=1, le=1000)] = 64
+    unwritten_mb: Annotated[float, Field(gt=0)] = 256.0
     swap_endpoints: Names = ()
     max_body_bytes: Annotated[int, Field(ge=1024)] = 2**20
     max_rate_per_s: Annotated[float, Field(gt=0)] = 1000.0

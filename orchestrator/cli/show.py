@@ -53,6 +53,7 @@ _SAID: dict[str, Callable[[dict[str, object]], str]] = {
     "planner_lost": _reason("the planner is away"),
     "planner_back": lambda data: "[green]the planner is back[/green]",
     "recording_failed": _reason("recording failed"),
+    "recording_behind": _reason("the recording stays behind"),
     "reset": lambda data: "[yellow]stood up again[/yellow]",
     "swap": lambda data: f"{data.get('service')} is now {data.get('plugin')}",
     "end": lambda data: f"[bold]{data.get('status')}[/bold]" + (f": {data['reason']}" if data.get("reason") else ""),

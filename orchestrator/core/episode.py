@@ -65,7 +65,7 @@ class EpisodeRunner:
         self.results: list[TaskResult] = []
         self.tick = 0
         self.session = Session(episode_id, spec, services, events, spec.heading_rad)
-        self.session.on_rewind = self._rewind
+        self.session.on_rewind.append(self._rewind)
         self._on_cycle = on_cycle
         self._agenda = Agenda(spec.tasks, spec.order, spec.seed)
         self._machine = MachineState()

@@ -17,7 +17,7 @@ from orchestrator.core.events import EventLog
 from orchestrator.core.loop import trace_from
 from orchestrator.core.services import Services, Slot
 from orchestrator.core.swap import check_drives, check_spec, swap
-from orchestrator.core.tape import Tape
+from orchestrator.core.tape import MEGABYTE, Backlog, Tape
 from orchestrator.rest import Event
 from orchestrator.store.interface import Store, StoreReader
 from orchestrator.store.recordings import RecordingFiles, write_atomically
@@ -58,15 +58,24 @@ class Orchestrator:
         store: where everything is kept.
         max_running: characters and episodes that may run at once; more are refused as overloaded.
         curve: keys for services on other machines.
+        unwritten_mb: recordings that a disk refuses are held in memory up to this; with more, no episode is begun.
     """
 
-    def __init__(self, services: Services, store: Store, max_running: int = 64, curve: CurveKeys | None = None):
+    def __init__(
+        self,
+        services: Services,
+        store: Store,
+        max_running: int = 64,
+        curve: CurveKeys | None = None,
+        unwritten_mb: float = 256.0,
+    ):
         self.services = services
         self.store = store
         self.reader = StoreReader(store)
         self.files = RecordingFiles(store.recordings)
         self.characters: dict[str, CharacterSession] = {}
         self.episodes: dict[str, LiveEpisode] = {}
+        self.backlog = Backlog(round(unwritten_mb * MEGABYTE))
         self._max_running = max_running
         self._curve = curve
         self.observers: list[Callable[[Event], None]] = []
@@ -156,6 +165,7 @@ class Orchestrator:
     def start_episode(self, spec: EpisodeSpec) -> str:
         """Start an episode in the background; returns its id."""
         self._check_room()
+        self.backlog.check_room()
         self._check_plugins(spec.character, spec.planner, spec.tracker)
         self.services.scenes.for_tracker(spec.scene, spec.seed)  # a wrong scene is refused now, not in the background
         scene = self.services.scenes.chosen(spec.scene, spec.seed)
@@ -292,7 +302,7 @@ class Orchestrator:
         live: LiveEpisode
         events = EventLog(self._sink(episode_id), earlier)
         runner = EpisodeRunner(episode_id, spec, self.services, events, lambda cycle: live.tape.wind(cycle))
-        live = LiveEpisode(runner, Tape(runner, self.files, recorded_to))
+        live = LiveEpisode(runner, Tape(runner, self.files, self.backlog, recorded_to))
         self.episodes[episode_id] = live
         return live
 
@@ -340,6 +350,9 @@ class Orchestrator:
 
     async def _let_go(self, episode_id: str) -> None:
         live = self.episodes.pop(episode_id)
+        if live.task is not None and live.task is not asyncio.current_task():
+            live.task.cancel()  # one that still waits for the disk would make the recording again
+        live.tape.discard()
         if live.runner.session.created:
             try:
                 await live.runner.session.loop.ask_tracker(Ok, CloseCharacter())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Sequence
+import logging
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -17,6 +17,8 @@ from shared.protocol.messages import CloseCharacter
 from shared.protocol.security import CurveKeys
 from shared.protocol.transport import AsyncServiceClient, Kind
 
+log = logging.getLogger(__name__)
+
 Reply = TypeVar("Reply", bound=Message)
 
 PATIENCE_S = 2.0
@@ -24,6 +26,8 @@ PATIENCE_S = 2.0
 HEALTH_S = 5.0
 """A service that does not say within this how it is counts as gone; a machine under load must not look like that."""
 LEFT_BEHIND_S = 600.0
+EXPECTED_S = 1.0
+"""A tracker that is not there is asked again after so long."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +97,7 @@ class Services:
 
     Attributes:
         tracker: the first; its plug-ins are the ones that can be asked for, and it is the one that a swap exchanges.
-        spares: more trackers, which take characters in too.
+        spares: more trackers, which take characters in too; `expect` adds those that come later.
         rescue_s: how long a character whose tracker was lost is tried to be brought back, from what is kept of it at
             each plan; 0 keeps nothing, and it has failed at once.
         residents: where each character lives.
@@ -102,10 +106,12 @@ class Services:
     planner: Slot
     tracker: Slot
     scenes: Scenes = field(default_factory=Scenes)
-    spares: Sequence[Slot] = ()
+    spares: list[Slot] = field(default_factory=list)
     rescue_s: float = 0.0
     residents: dict[str, Slot] = field(default_factory=dict)
     _leaving: set[asyncio.Task[None]] = field(default_factory=set)
+    _expecting: set[asyncio.Task[None]] = field(default_factory=set)
+    _ended: set[str] = field(default_factory=set)
 
     def place(self) -> Slot:
         """The tracker for a new character: the one with the fewest, of equals the first."""
@@ -124,14 +130,39 @@ class Services:
 
     def leave_all_behind(self, character_id: str) -> None:
         """End a character of an earlier process, wherever it is."""
+        self._ended.add(character_id)
         for slot in (self.tracker, *self.spares):
+            self.leave_behind(slot, character_id)
+
+    def expect(self, endpoint: str, plugin: str | None = None, curve: CurveKeys | None = None) -> None:
+        """Take a tracker that is not there yet among the spares once it is."""
+        task = asyncio.create_task(self._join(endpoint, plugin, curve), name=f"expected-{endpoint}")
+        self._expecting.add(task)
+        task.add_done_callback(self._expecting.discard)
+
+    async def _join(self, endpoint: str, plugin: str | None, curve: CurveKeys | None) -> None:
+        told = ""
+        while True:
+            try:
+                slot = await connect(endpoint, "tracker", plugin, curve)
+                break
+            except MotionLoopError as error:
+                if error.message != told:
+                    log.warning("the spare tracker at %s is not used: %s", endpoint, error.message)
+                told = error.message
+                await asyncio.sleep(EXPECTED_S)
+        self.spares.append(slot)
+        log.warning("the spare tracker at %s is there", endpoint)
+        # What an earlier process had there has ended, or lives elsewhere.
+        for character_id in self._ended | {each for each, home in self.residents.items() if home is not slot}:
             self.leave_behind(slot, character_id)
 
     async def close(self) -> None:
         """Close all clients."""
-        for task in list(self._leaving):
+        pending = [*self._leaving, *self._expecting]
+        for task in pending:
             task.cancel()
-        await asyncio.gather(*self._leaving, return_exceptions=True)
+        await asyncio.gather(*pending, return_exceptions=True)
         for slot in (self.planner, self.tracker, *self.spares):
             await slot.client.close()
 

@@ -109,7 +109,7 @@ class Session:
         lost: why its tracker is being looked for, or None.
         log_from_tick: from when on the tracker has its log.
         on_keep: called with what is about to be kept; where it raises a MotionLoopError the older one stays.
-        on_rewind: called with the tick to which the character was put back. Who sets it has gone back with it, so that
+        on_rewind: called with the tick to which the character was put back. Who is called goes back with it, so that
             what was asked for when the tracker was lost is not asked again (PutBackError).
     """
 
@@ -130,7 +130,7 @@ class Session:
         self.lost: str | None = None
         self.log_from_tick = 0
         self.on_keep: Callable[[Keepsake], Awaitable[None]] | None = None
-        self.on_rewind: Callable[[int], None] | None = None
+        self.on_rewind: list[Callable[[int], None]] = []
         self._given_up = False
         self._keep_due = False
 
@@ -275,7 +275,7 @@ class Session:
                 await self._come_back_to_ask(error)
                 await self._keep(driver)
         except MotionLoopError as error:
-            log.warning("nothing is kept of character %s at tick %d: %s", self.loop.character_id, self.tick, error)
+            log.info("nothing is kept of character %s at tick %d: %s", self.loop.character_id, self.tick, error)
 
     async def _keep(self, driver: Driver) -> None:
         snapshot = await self.loop.ask_tracker(Snapshot, TakeSnapshot())
@@ -292,7 +292,7 @@ class Session:
     async def _come_back_to_ask(self, error: MotionLoopError) -> None:
         """`_come_back`; raises PutBackError where what failed is not to be asked again."""
         cycle = await self._come_back(error)
-        if cycle.put_back and self.on_rewind is not None:
+        if cycle.put_back and self.on_rewind:
             raise PutBackError(f"the character was put back to tick {cycle.state.tick}: {error.message}") from error
 
     async def _come_back(self, error: MotionLoopError) -> Cycle:
@@ -316,8 +316,8 @@ class Session:
             self.loop.remember(kept.loop, kept.planned_w_m)
             await driver.go_on(state, kept.pace, state.tick)
             self.log_from_tick = max(self.log_from_tick, kept.first_logged_tick)
-            if self.on_rewind is not None:
-                self.on_rewind(state.tick)
+            for call in self.on_rewind:
+                call(state.tick)
         self._state = state
         self.events.emit(
             "tracker_back",

@@ -59,6 +59,11 @@ class Recording:
         return len(self.arrays["body_pos_w_m"])
 
     @property
+    def nbytes(self) -> int:
+        """What the arrays take."""
+        return sum(array.nbytes for array in self.arrays.values())
+
+    @property
     def skeleton(self) -> Skeleton:
         """The character's skeleton."""
         return build(self.character).skeleton
@@ -147,11 +152,12 @@ class RecordingFiles:
         parts.mkdir(exist_ok=True)
         write_atomically(parts / _part_name(recording.start_tick, len(recording)), to_npz(recording))
 
-    def add_resume(self, episode_id: str, data: bytes) -> None:
-        """Keep what a running episode is taken up from after a restart; then gather small parts into larger ones."""
+    def add_resume(self, episode_id: str, data: bytes, tick: int) -> None:
+        """Keep what a running episode is taken up from after a restart, at a tick with which a part ends; then gather
+        small parts up to there into larger ones."""
         self._parts(episode_id).mkdir(exist_ok=True)
         write_atomically(self._parts(episode_id) / RESUME, data)
-        spans = self._spans(episode_id)
+        spans = [span for span in self._spans(episode_id) if span[0] <= tick]
         large = max((i + 1 for i, (_, count) in enumerate(spans) if count >= LARGE_TICKS), default=0)
         if sum(count for _, count in spans[large:]) >= LARGE_TICKS:
             self._gather(episode_id, spans[large:])
@@ -166,10 +172,7 @@ class RecordingFiles:
 
         Raises NotFoundError where ticks are missing.
         """
-        folder = self._parts(episode_id)
-        for start, count in self._spans(episode_id):
-            if start > last_tick:
-                (folder / _part_name(start, count)).unlink()
+        self.drop_after(episode_id, last_tick)
         parts = self._read_parts(episode_id)
         found = joined(parts) if parts else None
         if found is None or found.start_tick != 0 or len(found) != last_tick + 1:
@@ -187,6 +190,12 @@ class RecordingFiles:
         if drop:
             self.drop_parts(episode_id)
         return path
+
+    def drop_after(self, episode_id: str, tick: int) -> None:
+        """Remove the parts that begin after a tick."""
+        for start, count in self._spans(episode_id):
+            if start > tick:
+                (self._parts(episode_id) / _part_name(start, count)).unlink()
 
     def drop_parts(self, episode_id: str) -> None:
         """Remove what an unfinished episode is made whole from."""

@@ -87,6 +87,12 @@ class Arena:
                 out[episode_id] = told
         return out
 
+    def ask_for_plans(self) -> bool:
+        """See that there are episodes which want plans; always true."""
+        self.look()
+        self.fill()
+        return True
+
     def wait(self, condition: Callable[[], bool], what: str) -> float:
         """Seconds until it held; raises StuckError."""
         began_s = time.monotonic()

@@ -14,10 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from orchestrator.core.supervise import ServiceProcess
-from tests.chaos.arena import Arena
+from tests.chaos.arena import SPECS, Arena
 from tests.chaos.stack import ChaoticStack
 
-BURST = 40
+BURST = 24
+NAN_PLANS = 15
+"""So many that one of three episodes has five in a row, which end it."""
 
 
 @dataclass
@@ -90,7 +92,8 @@ def _meddle(link: str, faults: tuple[str, ...], share: float, seconds: float) ->
 def _spoil(kind: str, plans: int) -> Act:
     def make(scene: Scene) -> None:
         scene.stack.order(kind, plans)
-        time.sleep(2.0)
+        # What came of it later would be taken for the next fault's.
+        scene.arena.wait(lambda: scene.arena.ask_for_plans() and scene.stack.carried_out(), f"{plans} plans are {kind}")
 
     return make
 
@@ -131,7 +134,7 @@ def _flood(scene: Scene) -> None:
     """More episodes than there is room for, at once."""
     taken, refused = [], 0
     for _ in range(BURST):
-        answer = scene.arena.ask("POST", "/v1/episodes", {"tasks": [{"type": "halt", "duration_s": 1}]})
+        answer = scene.arena.ask("POST", "/v1/episodes", SPECS[0])  # none of them ends by itself meanwhile
         if answer is None:
             continue
         if answer.status_code == 201:
@@ -141,8 +144,8 @@ def _flood(scene: Scene) -> None:
             assert int(answer.headers["retry-after"]) >= 1
             refused += 1
     assert refused, "nothing was refused"
-    for episode_id in taken:
-        scene.arena.ask("DELETE", f"/v1/episodes/{episode_id}")
+    for path in [f"/v1/episodes/{episode_id}" for episode_id in taken]:
+        scene.arena.wait(lambda path=path: scene.arena.ask("DELETE", path) is not None, "it is cancelled")
 
 
 FAULTS: tuple[Fault, ...] = (
@@ -162,7 +165,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("disk full", "disk and store", _full_disk),
     Fault("store locked", "disk and store", _locked_store),
     Fault("two plans of NaN", "NaN and lies", _spoil("nan", 2)),
-    Fault("plans of NaN", "NaN and lies", _spoil("nan", 12)),
+    Fault("plans of NaN", "NaN and lies", _spoil("nan", NAN_PLANS)),
     Fault("a plan far away", "NaN and lies", _spoil("far", 1)),
     Fault("a plan raises", "NaN and lies", _spoil("raise", 1)),
     Fault("plans of another rate", "NaN and lies", _spoil("other_rate", 3)),

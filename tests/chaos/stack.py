@@ -57,6 +57,11 @@ class ChaoticStack(Stack):
         partial.write_text(f"{kind} {plans} {self._ordered}")
         partial.replace(self._orders)
 
+    def carried_out(self) -> bool:
+        """Whether the newest order is."""
+        done = self._orders.with_suffix(".done")
+        return done.exists() and done.read_text() == str(self._ordered)
+
     def processes(self) -> list[ServiceProcess]:
         """With the second tracker."""
         return [*super().processes(), self.spare]

@@ -15,7 +15,10 @@ import httpx
 import numpy as np
 
 from orchestrator.core.keeper import BackOff, Keeper
+from orchestrator.core.manager import Orchestrator
+from orchestrator.core.services import Services, connect
 from orchestrator.core.supervise import Say, ServiceProcess, Stack, StackOptions
+from orchestrator.store.database import SqliteStore
 
 LIGHT = StackOptions(planner_plugin="stand", tracker_plugin="kinematic", planner_args=("--plugins", "stand"))
 """Without torch a planner is there in a second."""
@@ -43,6 +46,19 @@ def arrays_of(http: httpx.Client, episode_id: str) -> dict[str, bytes]:
     """Every array of an episode's recording as bytes."""
     content = http.get(f"/v1/episodes/{episode_id}/motion.npz").content
     with np.load(io.BytesIO(content), allow_pickle=False) as data:
+        return {name: data[name].tobytes() for name in data.files}
+
+
+async def orchestrator_on(stack: Stack, data_dir: Path, unwritten_mb: float = 256.0) -> Orchestrator:
+    """An orchestrator in this process, on the planner and the tracker of a stack; to be closed."""
+    tracker = await connect(stack.tracker.address, "tracker", timeout_s=60.0)
+    services = Services(await connect(stack.planner.address, "planner"), tracker, rescue_s=600.0)
+    return Orchestrator(services, SqliteStore(data_dir), unwritten_mb=unwritten_mb)
+
+
+def arrays_in(recording: Path) -> dict[str, bytes]:
+    """Every array of a recording as bytes."""
+    with np.load(recording, allow_pickle=False) as data:
         return {name: data[name].tobytes() for name in data.files}
 
 

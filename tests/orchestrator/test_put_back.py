@@ -9,20 +9,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from orchestrator.core.agenda import Agenda
 from orchestrator.core.episode_spec import EpisodeSpec
-from orchestrator.core.manager import Orchestrator
-from orchestrator.core.services import Services, connect
 from orchestrator.core.supervise import Stack
 from orchestrator.rest import Event
-from orchestrator.store.database import SqliteStore
-from orchestrator.store.recordings import from_npz
 from shared.tasks.factory import TaskSpec
 from shared.tasks.specs import HaltSpec
-from tests.orchestrator.support import light
+from tests.orchestrator.support import arrays_in, light, orchestrator_on
 from tests.planner_service.motion import write_library
 
 TOPPLING = {
@@ -84,9 +79,7 @@ async def played(
     stack: Stack, folder: Path, observe: Callable[[Event], None] | None = None
 ) -> tuple[dict[str, Any], dict[str, bytes], list[Event]]:
     """The episode's outcome, every array of its recording, and its events."""
-    tracker = await connect(stack.tracker.address, "tracker", "pd", timeout_s=60.0)
-    services = Services(await connect(stack.planner.address, "planner", "clip"), tracker, rescue_s=600.0)
-    core = Orchestrator(services, SqliteStore(folder))
+    core = await orchestrator_on(stack, folder)
     events: list[Event] = []
     core.observers += [events.append, *([] if observe is None else [observe])]
     try:
@@ -95,9 +88,7 @@ async def played(
         assert live.task is not None
         await live.task
         assert live.outcome is not None
-        recording = from_npz(core.files.path(episode_id))
-        arrays = {name: np.asarray(array).tobytes() for name, array in recording.arrays.items()}
-        return live.outcome.model_dump(mode="json"), {**arrays, "first": bytes([recording.start_tick])}, events
+        return live.outcome.model_dump(mode="json"), arrays_in(core.files.path(episode_id)), events
     finally:
         await core.close()
 

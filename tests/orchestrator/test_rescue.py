@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from orchestrator.core.supervise import ServiceProcess, Stack
 from orchestrator.rest import Event
 from orchestrator.store.recordings import from_npz
 from shared.errors import NotFoundError
-from tests.orchestrator.support import arrays_of, kept_up, light, play, running_service
+from tests.orchestrator.support import arrays_of, kept_up, light, play, running, running_service
 from tests.orchestrator.test_faults import LONG, wait_for
 from tests.orchestrator.test_moving import hosted
 from tests.planner_service.motion import write_library
@@ -114,6 +115,21 @@ def test_characters_are_spread_over_trackers_and_one_takes_over_those_of_another
         for episode_id in (episodes[0], episodes[2]):
             client.episodes[episode_id].cancel()
             ended(client, episode_id)
+
+
+def test_a_spare_tracker_that_is_down_holds_nothing_up_and_is_used_once_it_is_there(tmp_path: Path) -> None:
+    with running_service("tracker_service") as process:
+        address = process.address  # nothing is there any more afterwards
+    options = replace(light(tmp_path), orchestrator_args=("--spare-trackers", address))
+    command = (sys.executable, "-m", "tracker_service", "--endpoint", address)
+    with Stack(options) as stack, Client(stack.url) as client, client.character(), running("late", *command):
+
+        def comes_there() -> bool:
+            """The least loaded takes a character in."""
+            with client.character():
+                return hosted(address) == 1
+
+        wait_for(comes_there, "a character lives at the tracker that came late")
 
 
 def test_a_frozen_tracker_is_gone_on_with_when_it_thaws(tmp_path: Path) -> None:

@@ -80,8 +80,8 @@ def test_parts_of_any_length_are_gathered_and_none_is_lost(tmp_path: Path, lengt
     at = 0
     for length in lengths:
         files.add_part("e", Recording.of(ticks(at, length)))
-        files.add_resume("e", b"state")
         at += length
+        files.add_resume("e", b"state", at - 1)
         assert len(files.recorded("e", at - 1)) == at
     assert len(lengths) == 1 or len(list((tmp_path / "e.parts").glob("*.npz"))) < len(lengths)
     files.finish("e")
@@ -93,13 +93,13 @@ def test_a_kill_while_parts_are_gathered_costs_nothing(tmp_path: Path) -> None:
     for start in (0, 250, 500):
         files.add_part("e", Recording.of(ticks(start, 250)))
     small = {file.name: file.read_bytes() for file in folder.glob("*.npz")}
-    files.add_resume("e", b"state")
+    files.add_resume("e", b"state", 749)
     assert len(list(folder.glob("*.npz"))) == 1
     for name, data in small.items():  # as if it had been killed before they were removed
         (folder / name).write_bytes(data)
     for start in (750, 1000, 1250):
         files.add_part("e", Recording.of(ticks(start, 250)))
-        files.add_resume("e", b"state")
+        files.add_resume("e", b"state", start + 249)
     assert len(files.recorded("e", 1499)) == 1500
     files.finish("e")
     assert len(files.load("e")) == 1500
@@ -108,8 +108,9 @@ def test_a_kill_while_parts_are_gathered_costs_nothing(tmp_path: Path) -> None:
 def test_what_is_newer_than_the_state_to_go_on_from_is_dropped(tmp_path: Path) -> None:
     files = RecordingFiles(tmp_path)
     files.add_part("e", Recording.of(ticks(0, 40)))
-    files.add_resume("e", b"state at 39")
-    files.add_part("e", Recording.of(ticks(40, 20)))
+    files.add_resume("e", b"state at 39", 39)
+    files.add_part("e", Recording.of(ticks(40, 700)))
+    files.add_resume("e", b"state at 39", 39)  # it is not gathered into one with what is newer
     assert len(files.recorded("e", 39)) == 40
     assert files.resume("e") == b"state at 39"
     with pytest.raises(NotFoundError, match="not all of the ticks"):
