@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from json import loads
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,10 +15,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from orchestrator.cli.common import JsonFile, console, for_people, provenance, writable, write_json
 from orchestrator.cli.delegate import PASS_THROUGH, module_json, run_module
-from orchestrator.core.services import Services, connect
-from orchestrator.core.supervise import Stack, StackOptions
+from orchestrator.core.services import Services
+from orchestrator.core.supervise import Stack
 from orchestrator.evaluation import bench as benches
 from orchestrator.evaluation.commands import KindsOption, read_sentences
+from orchestrator.evaluation.executor import Answering, Executor, ExecutorName, LocalProcesses, Pairing
+from orchestrator.evaluation.on_ray import RayCluster
+from orchestrator.evaluation.parquet import check_parquet
 from orchestrator.evaluation.report import write_report
 from orchestrator.evaluation.rows import Measured
 from orchestrator.evaluation.sequences import SEQUENCE
@@ -41,73 +45,69 @@ WITHOUT_AVX512 = {
 }
 """Keeps torch, oneDNN (in torch and in OpenVINO) and MKL from AVX-512."""
 Job = Callable[[Services, Stack], Awaitable[dict[str, Any]]]
-
-
-Jobs = Callable[[list[Services]], Awaitable[dict[str, Any]]]
+ONE_PLAN_A_BATCH = ("--max-batch", "1")
+"""What else is in a batch changes the last bits of a plan, and which requests meet in one depends on the clock; chaotic
+as bodies are, a table would differ from run to run."""
 
 
 def with_services(
     job: Job, planner: str | None, tracker: str | None, threads: int, repeatable: bool = False
 ) -> dict[str, Any]:
-    """Run a measurement over a planner and a tracker of its own; adds what they were. See `with_pairs`."""
-    batch = ("--max-batch", "1") if repeatable else ()
-    stack = _stack(threads, batch)
-    return with_pairs(lambda pairs: job(pairs[0], stack), [stack], planner, tracker, threads, repeatable)
-
-
-def with_pairs(
-    job: Jobs, stacks: list[Stack], planner: str | None, tracker: str | None, threads: int, repeatable: bool
-) -> dict[str, Any]:
-    """Run a measurement over one or more pairs of planner and tracker; adds what they were.
+    """Run a measurement over a planner and a tracker of its own; adds what they were.
 
     Args:
-        repeatable: plan for one character at a time. What else is in a batch changes the last bits of a plan, and which
-            requests meet in one depends on the clock; chaotic as bodies are, a table would differ from run to run.
+        repeatable: plan for one character at a time.
     """
+    pairing = Pairing(planner, tracker, threads, ONE_PLAN_A_BATCH if repeatable else ())
+    stack = pairing.stack(console.print)
 
     async def run() -> dict[str, Any]:
-        pairs: list[Services] = []
+        services = await pairing.connect(stack)
         try:
-            for stack in stacks:
-                endpoints = stack.start_services()
-                pairs.append(
-                    Services(
-                        await connect(endpoints[0], "planner", planner), await connect(endpoints[1], "tracker", tracker)
-                    )
-                )
-            result = await job(pairs)
-            return {
-                **result,
-                "planner": pairs[0].planner.spec(),
-                "tracker": pairs[0].tracker.spec(),
-                "planner_threads": threads,
-                **({"deterministic": True, "fixed": {**FIXED, "planner_threads": threads}} if repeatable else {}),
-            }
+            return _told(await job(services, stack), Answering.of(services, pairing), threads, repeatable)
         finally:
-            for services in pairs:
-                await services.close()
+            await services.close()
 
     try:
         with for_people():
             return asyncio.run(run())
     finally:
-        for stack in stacks:
-            stack.stop()
+        stack.stop()
 
 
-def _stack(
-    threads: int,
-    batch: tuple[str, ...],
-    planner_weights: Path | None = None,
-    tracker_weights: Path | None = None,
-) -> Stack:
-    planner_args: tuple[str, ...] = ("--threads", str(threads), *batch)
-    tracker_args: tuple[str, ...] = ("--max-characters", "64")
-    if planner_weights is not None:
-        planner_args = (*planner_args, "--dip-weights", str(planner_weights))
-    if tracker_weights is not None:
-        tracker_args = (*tracker_args, "--weights", str(tracker_weights))
-    return Stack(StackOptions(planner_args=planner_args, tracker_args=tracker_args), console.print)
+def with_executor(
+    job: Callable[[Executor, Answering], Awaitable[dict[str, Any]]], executor: Executor, threads: int
+) -> dict[str, Any]:
+    """Run a measurement that repeats over the pairs of an executor; adds what they were."""
+
+    async def run() -> dict[str, Any]:
+        try:
+            answering = await executor.open()
+            return _told(await job(executor, answering), answering, threads, repeatable=True)
+        finally:
+            await executor.close()
+
+    with for_people(), executor:
+        return asyncio.run(run())
+
+
+def _told(result: dict[str, Any], answering: Answering, threads: int, repeatable: bool) -> dict[str, Any]:
+    return {
+        **result,
+        "planner": answering.planner,
+        "tracker": answering.tracker,
+        "planner_threads": threads,
+        **({"deterministic": True, "fixed": {**FIXED, "planner_threads": threads}} if repeatable else {}),
+    }
+
+
+def make_executor(name: ExecutorName, ray_address: str | None, pairing: Pairing, pairs: int, parallel: int) -> Executor:
+    """The executor of this name, not yet open. Raises InvalidInputError where it cannot be had."""
+    if name == "ray":
+        return RayCluster(pairing, pairs, parallel, ray_address, console.print)
+    if ray_address is not None:
+        raise InvalidInputError("an address of Ray is for --executor ray", field="ray_address")
+    return LocalProcesses(pairing, pairs, parallel, console.print)
 
 
 class Bar:
@@ -156,6 +156,15 @@ def eval_tasks(
     ] = None,
     against: Annotated[Path | None, typer.Option(exists=True, help="an earlier --json to compare with")] = None,
     videos: Annotated[Path | None, typer.Option(help="folder for videos of the episodes that fail")] = None,
+    executor: Annotated[
+        ExecutorName, typer.Option(help="where the pairs are: on this machine, or on a Ray cluster")
+    ] = "local",
+    ray_address: Annotated[
+        str | None, typer.Option(help="HOST:PORT of the Ray cluster, or auto; default: one of this machine")
+    ] = None,
+    parquet: Annotated[
+        Path | None, typer.Option(help="write the rows of episodes as Parquet", callback=writable)
+    ] = None,
     json: JsonFile = None,
 ) -> None:
     """Success rates of tasks (strict, paper, code) with a Wilson interval."""
@@ -166,16 +175,20 @@ def eval_tasks(
             there = None if against is None else loads(against.read_text(encoding="utf-8"))
             if there is not None and not (isinstance(there, dict) and {"tasks", "variant"} <= there.keys()):
                 raise InvalidInputError(f"{against} is no result of eval tasks", field="against")
+            if parquet is not None:
+                check_parquet()
             if variant == "no_finetune" and tracker_weights is None:
                 raise InvalidInputError(
                     "no_finetune needs weights that have seen no plans", field="variant", allowed="--tracker-weights"
                 )
-        result = with_pairs(
-            lambda pairs: evaluate_tasks(
-                pairs, names, sequences or episodes, measured, parallel, resume, bar.update, videos
+            pairing = Pairing(planner, tracker, threads, ONE_PLAN_A_BATCH, planner_weights, tracker_weights)
+            runs_on = make_executor(executor, ray_address, pairing, jobs, parallel)
+        result = with_executor(
+            lambda on, answering: evaluate_tasks(
+                on, names, sequences or episodes, replace(measured, weights=answering.weights), resume, bar.update,
+                videos, parquet,
             ),
-            [_stack(threads, ("--max-batch", "1"), planner_weights, tracker_weights) for _ in range(jobs)],
-            planner, tracker, threads, repeatable=True,
+            runs_on, threads,
         )  # fmt: skip
     whole = {**result, **provenance(seed)}
     write_json(json, whole)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import uuid
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 from math import atan2
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,8 @@ from orchestrator.core.episode_spec import EpisodeOutcome, EpisodeSpec
 from orchestrator.core.events import EventLog
 from orchestrator.core.services import Services
 from orchestrator.core.settings import VARIANTS
+from orchestrator.evaluation.executor import Executor
+from orchestrator.evaluation.parquet import write_parquet
 from orchestrator.evaluation.rows import Key, Measured, Row, finished, keep
 from orchestrator.evaluation.sequences import SEQUENCE, sequence_of
 from orchestrator.evaluation.starts import Start, octant, start_of
@@ -60,80 +61,86 @@ def episode_spec(key: Key, measured: Measured) -> EpisodeSpec:
     )
 
 
-async def run_one(spec: EpisodeSpec, services: Services, film: Path | None = None) -> EpisodeOutcome:
-    """Run an episode and close its character.
+@dataclass(frozen=True)
+class EpisodeJob:
+    """One episode to run: which, of what measurement, and whether to film it where it fails."""
 
-    Args:
-        film: where to write a video of it, unless every task succeeded.
-    """
-    runner = EpisodeRunner(str(uuid.uuid4()), spec, services, EventLog())
+    key: Key
+    measured: Measured
+    film: bool = False
+
+
+async def run_episode(services: Services, job: EpisodeJob) -> tuple[Row, bytes | None]:
+    """Run an episode and close its character; its row, and an MP4 if one was asked for and a task failed."""
+    runner = EpisodeRunner(str(uuid.uuid4()), episode_spec(job.key, job.measured), services, EventLog())
     outcome = await runner.run()
+    row = job.measured.stamped(_row(job.key, start_for(job.key, job.measured), outcome))
+    film: bytes | None = None
     if not runner.session.created:
-        return outcome
+        return row, film
     try:
-        if film is not None and not outcome.success and runner.tick > 0:
+        if job.film and not outcome.success and runner.tick > 0:
             ask = Render(start_tick=0, stop_tick=runner.tick, width=480, height=360)
             video = await runner.session.loop.ask_tracker(Video, ask, FILM_S)
-            film.parent.mkdir(parents=True, exist_ok=True)
-            film.write_bytes(np.asarray(video.mp4).tobytes())
-    except (MotionLoopError, OSError) as error:  # the rows of hours are worth more than a video
-        _LOG.warning("no video %s: %s", film, error)
+            film = np.asarray(video.mp4).tobytes()
+    except MotionLoopError as error:  # the rows of hours are worth more than a video
+        _LOG.warning("no video of %s: %s", job.key, error)
     finally:
         await runner.session.close()
-    return outcome
-
-
-def weights_of(services: Services, planner: str | None, tracker: str | None) -> str:
-    """Names, versions and weights of what answers, so that rows of other weights are told apart."""
-    told = []
-    for slot, plugin in ((services.planner, planner), (services.tracker, tracker)):
-        spec = slot.spec(plugin)
-        told.append(f"{spec.get('name')} {spec.get('version')} {str(spec.get('weights_sha256'))[:12]}")
-    return ", ".join(told)
+    return row, film
 
 
 async def evaluate_tasks(
-    pairs: Sequence[Services],
+    executor: Executor,
     tasks: Sequence[str],
     episodes: int,
     measured: Measured,
-    parallel: int = 8,
     resume: Path | None = None,
     progress: Progress | None = None,
     videos: Path | None = None,
+    parquet: Path | None = None,
 ) -> dict[str, Any]:
     """Success of each task over `episodes` episodes.
 
     Args:
-        pairs: of planner and tracker; the episodes are spread over them, and the table is the same for any number.
+        executor: an open one, where the episodes run; the table is the same for any.
+        measured: with the weights of what answers there.
         tasks: names; `sequence` stands for five random tasks in one scene.
         resume: JSON lines file of finished episodes; those in it are not run again, new ones are added.
         videos: folder for a video of every episode that fails.
+        parquet: file for the rows, one an episode, in the order of tasks and numbers.
 
     Returns:
         {"tasks": {name: {n, success_strict, success_paper, success_code, ci95, falls, median_time_s, failures}}}.
     """
-    measured = replace(measured, weights=weights_of(pairs[0], measured.planner, measured.tracker))
     wanted = [(task, index) for task in tasks for index in range(episodes)]
-    specs = {key: episode_spec(key, measured) for key in wanted}
-    rows = {key: row for key, row in finished(resume, measured).items() if key in specs}
-    todo = [key for key in wanted if key not in rows]
-    gate = asyncio.Semaphore(parallel)
+    for key in wanted:
+        episode_spec(key, measured)  # what is wrong with one is told before the first has run
+    rows = {key: row for key, row in finished(resume, measured).items() if key in set(wanted)}
 
-    async def one(place: int, key: Key) -> None:
-        film = None if videos is None else videos / f"{key[0]}_{measured.variant}_{measured.seed}_{key[1]:03d}.mp4"
-        async with gate:
-            outcome = await run_one(specs[key], pairs[place % len(pairs)], film)
-        rows[key] = measured.stamped(_row(key, start_for(key, measured), outcome))
-        keep(resume, rows[key])
+    def done(job: EpisodeJob, result: tuple[Row, bytes | None]) -> None:
+        rows[job.key], film = result
+        keep(resume, rows[job.key])
+        if videos is not None and film is not None:
+            _save_film(videos / f"{job.key[0]}_{measured.variant}_{measured.seed}_{job.key[1]:03d}.mp4", film)
         if progress is not None:
-            progress(len(rows), len(wanted), rows[key])
+            progress(len(rows), len(wanted), rows[job.key])
 
-    async with asyncio.TaskGroup() as group:
-        for place, key in enumerate(todo):
-            group.create_task(one(place, key))
+    await executor.run(
+        run_episode, [EpisodeJob(key, measured, videos is not None) for key in wanted if key not in rows], done
+    )
+    if parquet is not None:
+        write_parquet(parquet, [rows[key] for key in wanted])
     table = {task: summary([rows[task, i] for i in range(episodes)]) for task in tasks}
     return {"tasks": table, "variant": measured.variant, "varied": measured.varied, "weights": measured.weights}
+
+
+def _save_film(path: Path, film: bytes) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(film)
+    except OSError as error:  # as above
+        _LOG.warning("no video %s: %s", path, error)
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -146,9 +146,11 @@ def test_eval_tasks_goes_on_after_a_kill_with_the_same_table(tmp_path: Path) -> 
     rows = tmp_path / "rows.jsonl"
     command = [
         "eval", "tasks", "--tasks", "strike,sit,get_up", "--episodes", "2", "--planner", "stand",
-        "--tracker", "kinematic", "--report", str(tmp_path / "report.md"), "--resume", str(rows), "--json",
+        "--tracker", "kinematic", "--report", str(tmp_path / "report.md"), "--resume", str(rows),
+        "--parquet", str(tmp_path / "rows.parquet"), "--json",
     ]  # fmt: skip
     run(*command, str(tmp_path / "whole.json"))
+    whole_rows = (tmp_path / "rows.parquet").read_bytes()
     whole = json.loads((tmp_path / "whole.json").read_text())["tasks"]
     lines = rows.read_text().splitlines(keepends=True)
     assert len(lines) == 6
@@ -156,6 +158,7 @@ def test_eval_tasks_goes_on_after_a_kill_with_the_same_table(tmp_path: Path) -> 
     run(*command, str(tmp_path / "again.json"), "--jobs", "2")
     assert json.loads((tmp_path / "again.json").read_text())["tasks"] == whole
     assert len(rows.read_text().splitlines()) == 6
+    assert (tmp_path / "rows.parquet").read_bytes() == whole_rows
     assert {name: row["success_strict"] for name, row in whole.items()} == {"strike": 0.0, "sit": 0.0, "get_up": 0.0}
     assert whole["get_up"]["success_code"] is None, "none has sat, so that the release would count none"
     assert sum(part["n"] for part in whole["strike"]["by_octant"].values()) == 2

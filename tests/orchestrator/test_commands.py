@@ -83,13 +83,13 @@ def test_wrong_use_is_told(arguments: list[str]) -> None:
 def test_a_result_that_cannot_be_written_is_told_before_the_work(
     option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(measure, "with_pairs", lambda *_, **__: pytest.fail("it was measured first"))
+    monkeypatch.setattr(measure, "with_executor", lambda *_, **__: pytest.fail("it was measured first"))
     refused = IN_PROCESS.invoke(cli.app, ["eval", "tasks", "--tasks", "halt", option, str(tmp_path)])
     assert refused.exit_code == 1 and "it is a folder" in refused.output
 
 
 def test_what_is_no_earlier_result_is_told_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(measure, "with_pairs", lambda *_, **__: pytest.fail("it was measured first"))
+    monkeypatch.setattr(measure, "with_executor", lambda *_, **__: pytest.fail("it was measured first"))
     for text in ("[]", "{}", "no JSON"):
         (tmp_path / "other.json").write_text(text)
         refused = IN_PROCESS.invoke(cli.app, ["eval", "tasks", "--against", str(tmp_path / "other.json")])
