@@ -12,14 +12,23 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BeforeValidator, Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, SecretStr, ValidationError, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from shared.protocol.errors import invalid_input_from
-from shared.protocol.security import CurveKeys, check_bind, curve_dir_from_environment, load_curve_keys
+from shared.protocol.security import (
+    CurveKeys,
+    check_bind,
+    curve_dir_from_environment,
+    is_loopback,
+    load_curve_keys,
+)
+from shared.telemetry import MetricsEndpoint
 from shared.tracing import LogFormat
 
 S = TypeVar("S", bound="Settings")
+TOKEN_CHARS = 16
+"""A bearer token has at least so many."""
 
 
 def _split(value: Any) -> Any:
@@ -48,7 +57,9 @@ class ServiceSettings(Settings):
         curve_dir: folder of CURVE keys (`python -m shared.protocol.keys FOLDER`), or None.
         log_level: of the process; debug has a line for every message.
         log_format: lines for people, or JSON with the trace id (docs/operations.md).
-        metrics_port: of loopback, where Prometheus finds the service's numbers; 0 takes a free one, None serves none.
+        metrics_port: where Prometheus finds the service's numbers; 0 takes a free one, None serves none.
+        metrics_host: address of that port; beyond loopback only with a token.
+        metrics_token: bearer token without which the numbers are not told.
     """
 
     endpoint: str
@@ -58,11 +69,22 @@ class ServiceSettings(Settings):
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     log_format: LogFormat = "text"
     metrics_port: Annotated[int, Field(ge=0, le=65535)] | None = None
+    metrics_host: str = "127.0.0.1"
+    metrics_token: Annotated[SecretStr, Field(min_length=TOKEN_CHARS)] | None = None
 
     @model_validator(mode="after")
     def _safe_to_listen(self) -> ServiceSettings:
         check_bind(self.endpoint, self.curve_keys())
+        if self.metrics_token is None and not is_loopback(self.metrics_host):
+            raise ValueError(
+                f"metrics_host {self.metrics_host} can be reached from other machines: set metrics_token, or 127.0.0.1"
+            )
         return self
+
+    def start_metrics(self, endpoint: MetricsEndpoint) -> None:
+        """Serve the numbers as these settings say."""
+        token = None if self.metrics_token is None else self.metrics_token.get_secret_value()
+        endpoint.start(self.metrics_port, self.metrics_host, token)
 
     def curve_keys(self) -> CurveKeys | None:
         """The service's keys, if it has any."""

@@ -8,10 +8,8 @@ from typing import Annotated, Literal
 from pydantic import Field, SecretStr, model_validator
 
 from shared.protocol.security import curve_dir_from_environment, is_loopback
-from shared.settings import Names, Settings
+from shared.settings import TOKEN_CHARS, Names, Settings
 from shared.tracing import LogFormat
-
-TOKEN_CHARS = 16
 
 
 class OrchestratorSettings(Settings):

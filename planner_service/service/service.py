@@ -84,7 +84,7 @@ class PlannerService:
             name: Batcher(planner, self._settings.max_batch, self._settings.max_wait_ms / 1e3, self.metrics)
             for name, planner in self._planners.items()
         }
-        self.metrics.endpoint.start(self._settings.metrics_port)
+        self._settings.start_metrics(self.metrics.endpoint)
         self._server.start()
         return self
 

@@ -14,12 +14,14 @@ from pathlib import Path
 
 import httpx
 import pytest
+from prometheus_client import CollectorRegistry, Counter
 from prometheus_client.parser import text_string_to_metric_families
 
 from orchestrator.client import Client
 from orchestrator.core.supervise import Stack
 from shared.protocol.messages import StateFrame, Step
 from shared.protocol.transport import ServiceClient
+from shared.telemetry import MetricsEndpoint
 from tests.orchestrator.support import light, play
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
@@ -109,6 +111,27 @@ def test_a_taken_metrics_port_is_told_by_name(ports: tuple[int, int], watched: S
         done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
         assert done.returncode == 2, done.stderr
         assert f"metrics_port: port {ports[0]} cannot be used" in done.stderr
+
+
+def test_numbers_beyond_this_machine_take_a_token() -> None:
+    registry = CollectorRegistry()
+    Counter("things", "counted", registry=registry).inc()
+    endpoint = MetricsEndpoint(registry)
+    endpoint.start(0, token="sixteen-characters")
+    try:
+        assert endpoint.url is not None
+        for header in ({}, {"authorization": "Bearer sixteen"}, {"authorization": "Basic sixteen-characters"}):
+            refused = httpx.get(endpoint.url, headers=header)
+            assert (refused.status_code, "things" in refused.text) == (401, False)
+        told = httpx.get(endpoint.url, headers={"authorization": "Bearer sixteen-characters"})
+        assert told.status_code == 200 and "things_total 1.0" in told.text
+    finally:
+        endpoint.close()
+    for module in ("planner_service", "tracker_service"):
+        command = [sys.executable, "-m", module, "--metrics-port", "0", "--metrics-host", "0.0.0.0"]
+        for token, words in ((), "set metrics_token"), (("--metrics-token", "short"), "metrics_token"):
+            done = subprocess.run([*command, *token], capture_output=True, text=True, timeout=120, check=False)
+            assert done.returncode == 2 and words in done.stderr, done.stderr
 
 
 def test_top_shows_services_characters_and_episodes(watched: Stack, tmp_path: Path) -> None:

@@ -137,7 +137,7 @@ class TrackerService:
         self._publisher = StatePublisher(
             self.settings.state_endpoint, context=self._context, curve=self.settings.curve_keys()
         )
-        self.metrics.endpoint.start(self.settings.metrics_port)
+        self.settings.start_metrics(self.metrics.endpoint)
         self._clock.start()
         self._server.start()
         return self
