@@ -28,6 +28,10 @@ class _Server(ThreadingMixIn, WSGIServer):
     daemon_threads = True
 
 
+class _Server6(_Server):
+    address_family = socket.AF_INET6
+
+
 class _Handler(WSGIRequestHandler):
     timeout = QUIET_S
 
@@ -53,10 +57,9 @@ class MetricsEndpoint:
         """
         if port is None:
             return
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        server_class = type("_Server", (_Server,), {"address_family": family})
+        app = _guarded(make_wsgi_app(self._registry), token)
         try:
-            server = make_server(host, port, _guarded(make_wsgi_app(self._registry), token), server_class, _Handler)
+            server = make_server(host, port, app, _Server6 if ":" in host else _Server, _Handler)
         except OSError as error:
             raise InvalidInputError(
                 f"port {port} cannot be used: {error.strerror}", field="metrics_port", allowed="a free port, or 0"

@@ -19,8 +19,10 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from orchestrator.client import Client
 from orchestrator.core.supervise import Stack
+from shared.errors import InvalidInputError
 from shared.protocol.messages import StateFrame, Step
 from shared.protocol.transport import ServiceClient
+from shared.settings import ServiceSettings, load_settings
 from shared.telemetry import MetricsEndpoint
 from tests.orchestrator.support import light, play
 
@@ -127,11 +129,11 @@ def test_numbers_beyond_this_machine_take_a_token() -> None:
         assert told.status_code == 200 and "things_total 1.0" in told.text
     finally:
         endpoint.close()
-    for module in ("planner_service", "tracker_service"):
-        command = [sys.executable, "-m", module, "--metrics-port", "0", "--metrics-host", "0.0.0.0"]
-        for token, words in ((), "set metrics_token"), (("--metrics-token", "short"), "metrics_token"):
-            done = subprocess.run([*command, *token], capture_output=True, text=True, timeout=120, check=False)
-            assert done.returncode == 2 and words in done.stderr, done.stderr
+    here: dict[str, object] = {"endpoint": "tcp://127.0.0.1:0", "metrics_port": 0, "metrics_host": "0.0.0.0"}
+    for token, words in (({}, "set metrics_token"), ({"metrics_token": "short"}, "16 characters")):
+        with pytest.raises(InvalidInputError, match=words):
+            load_settings(ServiceSettings, {**here, **token})
+    assert load_settings(ServiceSettings, {**here, "metrics_token": "m" * 16}).metrics_host == "0.0.0.0"
 
 
 def test_top_shows_services_characters_and_episodes(watched: Stack, tmp_path: Path) -> None:
