@@ -130,7 +130,7 @@ def test_numbers_beyond_this_machine_take_a_token() -> None:
     finally:
         endpoint.close()
     here: dict[str, object] = {"endpoint": "tcp://127.0.0.1:0", "metrics_port": 0, "metrics_host": "0.0.0.0"}
-    for token, words in (({}, "set metrics_token"), ({"metrics_token": "short"}, "16 characters")):
+    for token, words in (({}, "set metrics_token"), ({"metrics_token": "short"}, "at least 16")):
         with pytest.raises(InvalidInputError, match=words):
             load_settings(ServiceSettings, {**here, **token})
     assert load_settings(ServiceSettings, {**here, "metrics_token": "m" * 16}).metrics_host == "0.0.0.0"
