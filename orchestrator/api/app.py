@@ -22,7 +22,7 @@ from orchestrator.api.tracing import Tracing
 from orchestrator.core.manager import Orchestrator
 from orchestrator.core.scenes import Scenes
 from orchestrator.core.services import Services, Slot, connect
-from orchestrator.store.database import SqliteStore
+from orchestrator.store.choice import open_store
 from shared.errors import UnavailableError
 from shared.protocol.security import CurveKeys, load_curve_keys
 from shared.protocol.transport import Kind
@@ -76,7 +76,8 @@ async def _take_spares_in(services: Services, settings: OrchestratorSettings, cu
 
 
 async def _open_on(services: Services, settings: OrchestratorSettings, curve: CurveKeys | None) -> Orchestrator:
-    store = await asyncio.to_thread(SqliteStore, settings.data_dir)
+    url = None if settings.store is None else settings.store.get_secret_value()
+    store = await asyncio.to_thread(open_store, settings.data_dir, url)
     core = Orchestrator(services, store, settings.max_running, curve, settings.unwritten_mb)
     await core.recover()
     return core

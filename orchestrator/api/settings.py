@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, SecretStr, model_validator
 
+from orchestrator.store.choice import POSTGRES
 from shared.protocol.security import curve_dir_from_environment, is_loopback
 from shared.settings import TOKEN_CHARS, Names, Settings
 from shared.tracing import LogFormat
@@ -24,6 +25,8 @@ class OrchestratorSettings(Settings):
         planner, tracker: ZeroMQ endpoints of the services.
         planner_plugin, tracker_plugin: which plug-ins to use; None for the services' defaults.
         data_dir: database and recordings.
+        store: URL of a PostgreSQL database (`postgresql://user:password@host/name`) to use instead of SQLite in
+            `data_dir`. A password is better given as MOTIONLOOP_STORE than on the command line.
         scenes: folder of scenes of one's own (YAML), before those of the package.
         curve_dir: folder of CURVE keys, for services on other machines.
         connect_timeout_s: how long to wait for the services at the start.
@@ -52,6 +55,7 @@ class OrchestratorSettings(Settings):
     planner_plugin: str | None = None
     tracker_plugin: str | None = None
     data_dir: Path = Path("out/data")
+    store: SecretStr | None = None
     scenes: Path | None = None
     curve_dir: Path | None = Field(default_factory=curve_dir_from_environment)
     connect_timeout_s: Annotated[float, Field(gt=0, le=600)] = 60.0
@@ -66,6 +70,12 @@ class OrchestratorSettings(Settings):
     max_streams: Annotated[int, Field(ge=1)] = 64
     log_level: Literal["debug", "info", "warning", "error"] = "warning"
     log_format: LogFormat = "text"
+
+    @model_validator(mode="after")
+    def _known_store(self) -> OrchestratorSettings:
+        if self.store is not None and not self.store.get_secret_value().startswith(POSTGRES):
+            raise ValueError("store must be a URL that begins with postgresql://, or be left out for SQLite")
+        return self
 
     @model_validator(mode="after")
     def _no_open_door(self) -> OrchestratorSettings:

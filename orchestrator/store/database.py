@@ -1,234 +1,78 @@
-"""SQLite store (WAL): characters, episodes, events and results.
-
-One thread writes, fed by a queue, so that a slow or full disk never holds up the loop; what could not be written stays
-queued and is tried again. Readers use connections of their own.
-"""
+"""The store in one SQLite file (WAL)."""
 
 from __future__ import annotations
 
-import json
-import logging
-import queue
 import sqlite3
-import threading
-import time
-from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from orchestrator.core.episode_spec import EpisodeOutcome, EpisodeSpec
-from orchestrator.rest import Event
-from shared.errors import NotFoundError
+from orchestrator.store.queued import RefusedError, SqlStore, Write
+from shared.errors import InvalidInputError, MotionLoopError
 
-log = logging.getLogger(__name__)
-
-SCHEMA = """
-CREATE TABLE IF NOT EXISTS characters (
-    id TEXT PRIMARY KEY, spec TEXT NOT NULL, status TEXT NOT NULL, created_s REAL NOT NULL, ended_s REAL);
-CREATE TABLE IF NOT EXISTS episodes (
-    id TEXT PRIMARY KEY, spec TEXT NOT NULL, status TEXT NOT NULL, reason TEXT, outcome TEXT, services TEXT,
-    created_s REAL NOT NULL, ended_s REAL);
-CREATE INDEX IF NOT EXISTS episodes_by_time ON episodes (created_s, id);
-CREATE TABLE IF NOT EXISTS events (
-    owner TEXT NOT NULL, seq INTEGER NOT NULL, type TEXT NOT NULL, tick INTEGER NOT NULL, unix_s REAL NOT NULL,
-    data TEXT NOT NULL, PRIMARY KEY (owner, seq)) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS results (
-    episode TEXT NOT NULL, task INTEGER NOT NULL, type TEXT NOT NULL, success_strict INTEGER NOT NULL,
-    result TEXT NOT NULL, PRIMARY KEY (episode, task)) WITHOUT ROWID;
-"""
-
-QUEUED_WRITES = 100_000
-RETRY_S = 0.5
-_Write = tuple[str, Sequence[Any]]
+PATIENCE_S = 5.0
+"""So long a locked file is waited for at a time."""
 
 
-class SqliteStore:
-    """What survives a restart, in one SQLite file (see `store.interface.Store`).
+class SqliteDatabase:
+    """See `store.queued.Database`. Readers use connections of their own."""
+
+    def __init__(self, path: Path):
+        self._path = path
+        self._writer: sqlite3.Connection | None = None
+
+    def prepare(self, statements: Sequence[str]) -> None:
+        """Make file and tables."""
+        try:
+            with closing(sqlite3.connect(self._path, timeout=2 * PATIENCE_S)) as connection, connection:
+                connection.execute("PRAGMA journal_mode=WAL")
+                for statement in statements:
+                    connection.execute(statement)
+        except sqlite3.Error as error:
+            raise _ours(error) from error
+
+    def write(self, batch: Sequence[Write]) -> None:
+        """All of it, or nothing."""
+        try:
+            if self._writer is None:
+                self._writer = sqlite3.connect(self._path, timeout=PATIENCE_S, check_same_thread=False)
+                self._writer.execute("PRAGMA synchronous=NORMAL")
+            with self._writer as connection:
+                for statement, values in batch:
+                    connection.execute(statement, values)
+        except sqlite3.Error as error:
+            raise _ours(error) from error
+
+    def read(self, statement: str, values: Sequence[Any]) -> list[dict[str, Any]]:
+        """The rows."""
+        try:
+            with closing(sqlite3.connect(self._path, timeout=2 * PATIENCE_S)) as connection:
+                connection.row_factory = sqlite3.Row
+                return [dict(row) for row in connection.execute(statement, values)]
+        except sqlite3.Error as error:
+            raise _ours(error) from error
+
+    def close(self) -> None:
+        """Let go of the writer's connection."""
+        if self._writer is not None:
+            self._writer.close()
+            self._writer = None
+
+
+def _ours(error: sqlite3.Error) -> MotionLoopError:
+    if isinstance(error, sqlite3.OperationalError):
+        return RefusedError(f"the store cannot be used at the moment: {error}")
+    return InvalidInputError(f"the store refuses what it was asked: {error}", field="store")
+
+
+class SqliteStore(SqlStore):
+    """What survives a restart, in one SQLite file.
 
     Args:
         folder: made if needed; holds `motionloop.sqlite` and `recordings/`.
     """
 
     def __init__(self, folder: Path):
-        self.folder = folder
-        self.recordings = folder / "recordings"
-        self.recordings.mkdir(parents=True, exist_ok=True)
-        self._path = folder / "motionloop.sqlite"
-        with closing(sqlite3.connect(self._path, timeout=10.0)) as connection:
-            connection.execute("PRAGMA journal_mode=WAL")
-            connection.executescript(SCHEMA)
-        self._queue: queue.Queue[_Write | threading.Event | None] = queue.Queue(QUEUED_WRITES)
-        self.failed_writes = 0
-        self._thread = threading.Thread(target=self._write_all, name="store", daemon=True)
-        self._thread.start()
-
-    # --- writing ---
-
-    def character_started(self, character_id: str, spec: dict[str, Any]) -> None:
-        """Note a new character."""
-        self._put(
-            "INSERT OR REPLACE INTO characters VALUES (?, ?, 'running', ?, NULL)",
-            (character_id, json.dumps(spec), time.time()),
-        )
-
-    def character_ended(self, character_id: str, status: str) -> None:
-        """Note its end."""
-        self._put("UPDATE characters SET status = ?, ended_s = ? WHERE id = ?", (status, time.time(), character_id))
-
-    def episode_started(self, episode_id: str, spec: EpisodeSpec, services: dict[str, Any]) -> None:
-        """Note a running episode and what it runs on."""
-        self._put(
-            "INSERT INTO episodes VALUES (?, ?, 'running', NULL, NULL, ?, ?, NULL)",
-            (episode_id, spec.model_dump_json(), json.dumps(services), time.time()),
-        )
-
-    def episode_ended(self, episode_id: str, outcome: EpisodeOutcome) -> None:
-        """Note its outcome and results."""
-        for result in outcome.results:
-            self._put(
-                "INSERT OR REPLACE INTO results VALUES (?, ?, ?, ?, ?)",
-                (episode_id, result.index, result.type, int(result.success_strict), result.model_dump_json()),
-            )
-        self._put(
-            "UPDATE episodes SET status = ?, reason = ?, outcome = ?, ended_s = ? WHERE id = ?",
-            (outcome.status, outcome.reason, outcome.model_dump_json(), time.time(), episode_id),
-        )
-
-    def event(self, owner: str, event: Event) -> None:
-        """Keep an event of a character or episode."""
-        row = (owner, event.seq, event.type, event.tick, event.unix_s, json.dumps(event.data))
-        self._put("INSERT OR IGNORE INTO events VALUES (?, ?, ?, ?, ?, ?)", row)
-
-    def delete_episode(self, episode_id: str) -> None:
-        """Remove an episode and all that belongs to it."""
-        self._put("DELETE FROM events WHERE owner = ?", (episode_id,))
-        self._put("DELETE FROM results WHERE episode = ?", (episode_id,))
-        self._put("DELETE FROM episodes WHERE id = ?", (episode_id,))
-
-    def left_running(self) -> tuple[list[str], list[str]]:
-        """On start: the episodes and the characters that a process which is no more was running."""
-        self.flush()
-        with self._reading() as connection:
-            episodes = [row["id"] for row in connection.execute("SELECT id FROM episodes WHERE status = 'running'")]
-            characters = [row["id"] for row in connection.execute("SELECT id FROM characters WHERE status = 'running'")]
-        return episodes, characters
-
-    def mark_interrupted(self, episodes: Sequence[str], characters: Sequence[str]) -> None:
-        """Those that do not go on are interrupted."""
-        now = time.time()
-        for episode_id in episodes:
-            self._put(
-                "UPDATE episodes SET status = 'interrupted', reason = ?, ended_s = ? WHERE id = ?",
-                ("the orchestrator was stopped in mid-episode", now, episode_id),
-            )
-        for character_id in characters:
-            self.character_ended(character_id, "interrupted")
-        self.flush()
-
-    def flush(self, timeout_s: float = 10.0) -> bool:
-        """Wait until everything queued so far is on disk; False when that took too long."""
-        done = threading.Event()
-        self._queue.put(done)
-        return done.wait(timeout_s)
-
-    def close(self) -> None:
-        """Write what is queued and end the thread (gives up after a while when the disk refuses)."""
-        self._queue.put(None)
-        self._thread.join(10.0)
-
-    # --- reading ---
-
-    def episode(self, episode_id: str) -> dict[str, Any]:
-        """One episode's row; raises NotFoundError."""
-        self.flush()
-        with self._reading() as connection:
-            row = connection.execute("SELECT * FROM episodes WHERE id = ?", (episode_id,)).fetchone()
-        if row is None:
-            raise NotFoundError(f"there is no episode {episode_id}", field="id")
-        return _decoded(row)
-
-    def episodes(self, status: str | None, limit: int, offset: int) -> tuple[list[dict[str, Any]], int]:
-        """Newest first; and how many there are in all."""
-        self.flush()
-        where, values = ("WHERE status = ?", (status,)) if status else ("", ())
-        with self._reading() as connection:
-            total = int(connection.execute(f"SELECT COUNT(*) FROM episodes {where}", values).fetchone()[0])
-            rows = connection.execute(
-                f"SELECT * FROM episodes {where} ORDER BY created_s DESC, id LIMIT ? OFFSET ?",
-                (*values, limit, offset),
-            ).fetchall()
-        return [_decoded(row) for row in rows], total
-
-    def events(self, owner: str, since: int = 0) -> list[Event]:
-        """Events of a character or episode after number `since`."""
-        self.flush()
-        with self._reading() as connection:
-            rows = connection.execute(
-                "SELECT * FROM events WHERE owner = ? AND seq > ? ORDER BY seq", (owner, since)
-            ).fetchall()
-        return [
-            Event(seq=r["seq"], type=r["type"], tick=r["tick"], unix_s=r["unix_s"], data=json.loads(r["data"]))
-            for r in rows
-        ]
-
-    # --- inside ---
-
-    @contextmanager
-    def _reading(self) -> Iterator[sqlite3.Connection]:
-        with closing(sqlite3.connect(self._path, timeout=10.0)) as connection:
-            connection.row_factory = sqlite3.Row
-            yield connection
-
-    def _put(self, sql: str, values: Sequence[Any]) -> None:
-        try:
-            self._queue.put_nowait((sql, values))
-        except queue.Full:
-            self.failed_writes += 1
-            log.error("the store is stuck: a write was lost")
-
-    def _write_all(self) -> None:
-        with closing(sqlite3.connect(self._path, timeout=5.0)) as connection:
-            connection.execute("PRAGMA synchronous=NORMAL")
-            ended = False
-            while not ended:
-                batch, flushed, ended = self._drain()
-                self._commit(connection, batch)
-                for event in flushed:
-                    event.set()
-
-    def _drain(self) -> tuple[list[_Write], list[threading.Event], bool]:
-        batch: list[_Write] = []
-        flushed: list[threading.Event] = []
-        item = self._queue.get()
-        while True:
-            if item is None:
-                return batch, flushed, True
-            if isinstance(item, threading.Event):
-                flushed.append(item)
-            else:
-                batch.append(item)
-            try:
-                item = self._queue.get_nowait()
-            except queue.Empty:
-                return batch, flushed, False
-
-    def _commit(self, connection: sqlite3.Connection, batch: list[_Write]) -> None:
-        while batch:
-            try:
-                with connection:
-                    for sql, values in batch:
-                        connection.execute(sql, values)
-                return
-            except sqlite3.OperationalError as error:  # locked or full: nothing is lost, it is tried again
-                self.failed_writes += 1
-                log.warning("the store could not be written: %s", error)
-                time.sleep(RETRY_S)
-
-
-def _decoded(row: sqlite3.Row) -> dict[str, Any]:
-    out = dict(row)
-    for name in ("spec", "outcome", "services"):
-        if out.get(name):
-            out[name] = json.loads(out[name])
-    return out
+        folder.mkdir(parents=True, exist_ok=True)
+        super().__init__(folder, SqliteDatabase(folder / "motionloop.sqlite"))

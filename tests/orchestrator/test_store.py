@@ -1,22 +1,14 @@
-"""Store and recordings: what was written is there after a kill, and files are whole or absent."""
+"""Recordings: what was written is there after a kill, and files are whole or absent."""
 
 from __future__ import annotations
 
-import asyncio
-import multiprocessing
-import os
-import signal
-import sqlite3
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from orchestrator.core.episode_spec import EpisodeOutcome, EpisodeSpec
+from orchestrator.core.episode_spec import EpisodeSpec
 from orchestrator.export.formats import to_bvh, to_csv
-from orchestrator.rest import Event
-from orchestrator.store.database import SqliteStore
-from orchestrator.store.interface import Store, StoreReader
 from orchestrator.store.recordings import Recording, RecordingFiles, from_npz, to_npz
 from shared.errors import NotFoundError
 from shared.motion.ik import standing_clip
@@ -41,37 +33,6 @@ def ticks(start: int, count: int) -> TickRange:
         contact_object=np.zeros(0), contact_impulse_ns=np.zeros(0), tracking_error_m=np.zeros(count, "<f4"),
         fallen=np.zeros(count, "|u1"), reference_pos_w_m=standing,
     )  # fmt: skip
-
-
-def _run_and_die(folder: Path) -> None:
-    store = SqliteStore(folder)
-    store.episode_started("e1", SPEC, {})
-    store.event("e1", Event(seq=1, type="state", tick=3, unix_s=0.0, data={"after": "acting"}))
-    files = RecordingFiles(store.recordings)
-    files.add_part("e1", Recording.of(ticks(0, 40)))
-    files.add_part("e1", Recording.of(ticks(40, 20)))
-    store.flush()
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-def test_after_a_kill_running_episodes_are_interrupted_with_all_recorded_ticks(tmp_path: Path) -> None:
-    child = multiprocessing.get_context("spawn").Process(target=_run_and_die, args=(tmp_path,))
-    child.start()
-    child.join(60)
-    assert child.exitcode == -signal.SIGKILL
-    store = SqliteStore(tmp_path)
-    assert store.left_running() == (["e1"], [])
-    store.mark_interrupted(["e1"], [])
-    row = store.episode("e1")
-    assert row["status"] == "interrupted"
-    assert "stopped" in row["reason"]
-    assert [event.type for event in store.events("e1")] == ["state"]
-    files = RecordingFiles(store.recordings)
-    assert files.unfinished() == ["e1"]
-    files.finish("e1")
-    assert len(files.load("e1")) == 60
-    assert files.unfinished() == []
-    store.close()
 
 
 @pytest.mark.parametrize("lengths", [[400] * 5, [100, 700, 100, 900, 300, 300, 10], [650], [1] * 3 + [600] + [599, 1]])
@@ -115,63 +76,6 @@ def test_what_is_newer_than_the_state_to_go_on_from_is_dropped(tmp_path: Path) -
     assert files.resume("e") == b"state at 39"
     with pytest.raises(NotFoundError, match="not all of the ticks"):
         files.recorded("e", 59)
-
-
-def test_episodes_are_filtered_paged_and_deleted(tmp_path: Path) -> None:
-    store = SqliteStore(tmp_path)
-    outcome = EpisodeOutcome(
-        status="finished", reason=None, success=True, results=[], ticks=90, plans=6, missed_ticks=0
-    )
-    for i in range(5):
-        store.episode_started(f"e{i}", SPEC, {})
-        if i % 2:
-            store.episode_ended(f"e{i}", outcome)
-    rows, total = store.episodes("finished", 1, 0)
-    assert total == 2
-    assert [row["id"] for row in rows] == ["e3"]
-    assert rows[0]["outcome"]["ticks"] == 90
-    assert [row["id"] for row in store.episodes(None, 2, 3)[0]] == ["e1", "e0"]
-    store.delete_episode("e3")
-    with pytest.raises(NotFoundError, match="e3"):
-        store.episode("e3")
-    store.close()
-
-
-def test_a_locked_store_loses_nothing(tmp_path: Path) -> None:
-    store = SqliteStore(tmp_path)
-    store.flush()
-    other = sqlite3.connect(tmp_path / "motionloop.sqlite", isolation_level=None)
-    other.execute("BEGIN EXCLUSIVE")
-    store.event("e", Event(seq=1, type="x", tick=0, unix_s=0.0))
-    assert not store.flush(0.2)
-    other.execute("COMMIT")
-    other.close()
-    assert [event.seq for event in store.events("e")] == [1]
-    store.close()
-
-
-def test_a_locked_store_holds_up_nobody_but_those_who_ask_it(tmp_path: Path) -> None:
-    """Notes are taken at once, readers wait beside the event loop, and other threads' work goes on meanwhile."""
-    store: Store = SqliteStore(tmp_path)
-    other = sqlite3.connect(tmp_path / "motionloop.sqlite", isolation_level=None)
-    other.execute("BEGIN EXCLUSIVE")
-
-    async def run() -> list[int]:
-        reader = StoreReader(store)
-        store.event("e", Event(seq=1, type="x", tick=0, unix_s=0.0))
-        asked = [asyncio.create_task(reader.events("e")) for _ in range(20)]  # far more than there are threads
-        for turn in range(10):
-            await asyncio.sleep(0)
-            store.event("e", Event(seq=turn + 2, type="x", tick=0, unix_s=0.0))
-            await asyncio.to_thread(RecordingFiles(store.recordings).add_part, "e", Recording.of(ticks(turn, 1)))
-        assert not any(task.done() for task in asked)
-        other.execute("COMMIT")
-        found = await asyncio.gather(*asked)
-        await reader.close()
-        return [event.seq for event in found[-1]]
-
-    assert asyncio.run(run()) == list(range(1, 12))
-    other.close()
 
 
 def test_a_recording_comes_back_as_it_was(tmp_path: Path) -> None:
