@@ -11,7 +11,7 @@ from typing import Any
 import httpx
 import numpy as np
 
-GIVE_UP_S = 180.0
+GIVE_UP_S = 400.0
 LOOK_S = 0.1
 TASKS: list[dict[str, Any]] = [{"type": "halt", "duration_s": 20}, {"type": "text", "text": "a person stands."}] * 30
 SPECS: tuple[dict[str, Any], ...] = (

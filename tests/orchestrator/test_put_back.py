@@ -1,4 +1,5 @@
-"""A tracker that dies at the worst moment: the episode is tick by tick as without, with physics too."""
+"""A tracker that dies at the worst moment, or an orchestrator that ends: the episode is tick by tick as without, with
+physics too."""
 
 from __future__ import annotations
 
@@ -13,6 +14,7 @@ import pytest
 
 from orchestrator.core.agenda import Agenda
 from orchestrator.core.episode_spec import EpisodeSpec
+from orchestrator.core.manager import Orchestrator
 from orchestrator.core.supervise import Stack
 from orchestrator.rest import Event
 from shared.tasks.factory import TaskSpec
@@ -83,12 +85,37 @@ async def played(
     events: list[Event] = []
     core.observers += [events.append, *([] if observe is None else [observe])]
     try:
-        episode_id = core.start_episode(SPEC)
-        live = core.episodes[episode_id]
-        assert live.task is not None
-        await live.task
-        assert live.outcome is not None
-        return live.outcome.model_dump(mode="json"), arrays_in(core.files.path(episode_id)), events
+        return *await finished(core, core.start_episode(SPEC)), events
+    finally:
+        await core.close()
+
+
+async def finished(core: Orchestrator, episode_id: str) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """The outcome and the recording of an episode, once it has ended."""
+    live = core.episodes[episode_id]
+    assert live.task is not None
+    await live.task
+    assert live.outcome is not None
+    return live.outcome.model_dump(mode="json"), arrays_in(core.files.path(episode_id))
+
+
+async def left_and_taken_up(stack: Stack, folder: Path, moment: Moment) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """The same of one whose orchestrator ends at a moment, and which the next one takes up."""
+    core, reached = await orchestrator_on(stack, folder), asyncio.Event()
+
+    def see(event: Event) -> None:
+        if moment(event):
+            reached.set()
+
+    core.observers.append(see)
+    episode_id = core.start_episode(SPEC)
+    await reached.wait()
+    await core.close()
+    assert core.episodes[episode_id].outcome is None
+    core = await orchestrator_on(stack, folder)
+    try:
+        assert await core.recover() == []
+        return await finished(core, episode_id)
     finally:
         await core.close()
 
@@ -110,6 +137,10 @@ def test_an_episode_with_physics_is_the_same_whenever_its_tracker_dies(tmp_path:
             assert back[0].tick <= done[0].tick, what
             assert outcome == wanted, what
             assert again == ticks, what
+        # The task that is taken up began with an object that had just been put elsewhere.
+        put = next(event.tick for event in told if event.type == "object_set")
+        left = left_and_taken_up(stack, tmp_path / "left", lambda event: event.type == "plan" and event.tick > put)
+        assert asyncio.run(left) == (wanted, ticks)
     finally:
         stack.stop()
 
