@@ -24,8 +24,9 @@ from shared.protocol.messages import (
 
 PATIENCE_S, HEALTH_S = 1.0, 2.5
 """So a tracker that is gone is noticed early, where characters can be brought back: a false alarm costs little then."""
-ALIVE_S = 0.5
-"""While a tracker is looked for, one that does not say within this that it is there is looked at again later."""
+ALIVE_S, MOST_ALIVE_S, PATIENCE_GROWS = 0.5, 8.0, 1.3
+"""While a tracker is looked for, one that does not say within this that it is there is looked at again later. Each time
+it gets more of it, since on a machine under load a tracker that is there may be slow to say so."""
 TRY_AGAIN_S = 0.1
 BUSY_S = 0.05
 
@@ -137,22 +138,23 @@ class Home:
 
         Raises what the last tracker that was asked has answered.
         """
-        until = time.monotonic() + patience_s
+        until, alive_s = time.monotonic() + patience_s, ALIVE_S
         while True:
             failure: MotionLoopError
             for slot in (self._slot, *self._services.others(self._slot)):
                 try:
-                    return await self._at(slot, kept, goes_on, most_ahead_ticks)
+                    return await self._at(slot, kept, goes_on, most_ahead_ticks, alive_s)
                 except MotionLoopError as error:
                     failure = error
             if given_up() or time.monotonic() >= until:
                 raise failure
             await asyncio.sleep(TRY_AGAIN_S)
+            alive_s = min(alive_s * PATIENCE_GROWS, MOST_ALIVE_S)
 
     async def _at(
-        self, slot: Slot, kept: Snapshot, goes_on: bool, most_ahead_ticks: int | None
+        self, slot: Slot, kept: Snapshot, goes_on: bool, most_ahead_ticks: int | None, alive_s: float
     ) -> tuple[StateFrame, bool]:
-        await slot.client.ask(Health(), HealthReport, timeout_s=ALIVE_S)
+        await slot.client.ask(Health(), HealthReport, timeout_s=alive_s)
         if goes_on and slot is self._slot:
             with contextlib.suppress(NotFoundError):
                 there = await slot.client.ask(Observe(), StateFrame, self._character_id, timeout_s=self._timeout_s)
