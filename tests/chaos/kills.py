@@ -29,15 +29,18 @@ SPECS: tuple[dict[str, Any], ...] = (
 )
 
 
-def kills(count: int, seed: int, data_dir: Path, say: Any = print) -> dict[str, Any]:
+def kills(count: int, seed: int, data_dir: Path, most_s: float, say: Any = print) -> dict[str, Any]:
     """Kill it so often; what became of the episodes.
+
+    Args:
+        most_s: it is not killed again after so long.
 
     Returns:
         `behind_s`: how old the newest tick on the disk was when the kill came, of episodes by the clock;
         `going_s`: from the orchestrator's return until all episodes went on; `lost`, `not_finished` (told as finished
         before the kill, and not after it) and `wrong_recordings` must be empty.
     """
-    draw = random.Random(seed)
+    began_s, draw = time.monotonic(), random.Random(seed)
     behind_s: list[float] = []
     going_s: list[float] = []
     not_finished: list[str] = []
@@ -46,6 +49,8 @@ def kills(count: int, seed: int, data_dir: Path, say: Any = print) -> dict[str, 
         arena = Arena(http, specs=SPECS)
         with kept_up(stack, said.append):
             for number in range(count):
+                if time.monotonic() - began_s > most_s:
+                    break
                 arena.wait(arena.going(), "episodes run")
                 time.sleep(draw.uniform(0.0, 3.0))
                 told = arena.look()
@@ -68,7 +73,7 @@ def kills(count: int, seed: int, data_dir: Path, say: Any = print) -> dict[str, 
             arena.finish()
     return {
         "seed": seed,
-        "kills": count,
+        "kills": len(going_s),
         "behind_s": _spread(behind_s),
         "going_s": _spread(going_s),
         "episodes": {
@@ -103,10 +108,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--json", type=Path, default=Path("out/kills.json"))
     given = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="kills-") as folder:
-        found = kills(given.kills, given.seed, Path(folder))
+        found = kills(given.kills, given.seed, Path(folder), 60.0 * given.minutes)
     given.json.parent.mkdir(parents=True, exist_ok=True)
     given.json.write_text(json.dumps(found, indent=1))
     print(json.dumps(found, indent=1))

@@ -6,12 +6,14 @@ import argparse
 import json
 import platform
 import random
+import sqlite3
 import sys
 import tempfile
 import threading
 import time
 from collections import Counter, defaultdict
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +50,22 @@ def chaos(faults: Sequence[Fault], seed: int, data_dir: Path, most_s: float, say
                 made.append({"number": number, **entry})
                 say(json.dumps(made[-1]))
             arena.finish()
-    return report(made, arena, seed, time.monotonic() - began_s)
+    return {**report(made, arena, seed, time.monotonic() - began_s), "rescues": rescues(data_dir)}
+
+
+def rescues(data_dir: Path) -> dict[str, Any]:
+    """What it took to bring characters back from a lost tracker, as their events say: how many, `seconds` from the loss
+    to the return, and the ticks done once more."""
+    with closing(sqlite3.connect(data_dir / "motionloop.sqlite", timeout=30.0)) as store:
+        told = [json.loads(row[0]) for row in store.execute("SELECT data FROM events WHERE type = 'tracker_back'")]
+    out: dict[str, Any] = {"characters": len(told)}
+    for name in ("seconds", "lost_ticks") if told else ():
+        values = [float(each[name]) for each in told]
+        out[name] = {
+            **{f"p{q}": round(float(np.percentile(values, q)), 2) for q in (50, 95)},
+            "most": max(values),
+        }
+    return out
 
 
 def _one(scene: Scene, fault: Fault) -> dict[str, Any]:
