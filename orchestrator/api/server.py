@@ -14,6 +14,7 @@ from orchestrator.api.app import create_app, open_orchestrator
 from orchestrator.api.listener import bind
 from orchestrator.api.settings import OrchestratorSettings
 from orchestrator.store.lock import FolderLock
+from shared.spans import recorder_of, recording
 from shared.tracing import configure_logging
 
 
@@ -45,7 +46,7 @@ def serve(settings: OrchestratorSettings) -> None:
     configure_logging("orchestrator", settings.log_level, settings.log_format)
     listener = bind(settings.host, settings.port)
     try:
-        with FolderLock(settings.data_dir):
+        with recording(recorder_of("orchestrator")), FolderLock(settings.data_dir):
             asyncio.run(_serve(settings, listener))
     finally:
         listener.close()

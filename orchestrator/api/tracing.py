@@ -9,18 +9,24 @@ import time
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from shared import spans
 from shared.tracing import fields, new_trace, traced
 
 HEADER = "x-trace-id"
-_PARENT = re.compile(r"[0-9a-f]{2}-([0-9a-f]{32})-[0-9a-f]{16}-[0-9a-f]{2}")
+_PARENT = re.compile(r"[0-9a-f]{2}-([0-9a-f]{32})-([0-9a-f]{16})-[0-9a-f]{2}")
 _ID = re.compile(r"[A-Za-z0-9._-]{8,64}")
 log = logging.getLogger(__name__)
 
 
+def _parent_of(headers: Headers) -> re.Match[str] | None:
+    parent = _PARENT.fullmatch(headers.get("traceparent", "").strip())
+    return parent if parent is not None and parent[1] != "0" * 32 else None
+
+
 def trace_of(headers: Headers) -> str:
     """The id in `traceparent` (W3C Trace Context) or `x-trace-id`; a fresh one where neither holds a sound one."""
-    parent = _PARENT.fullmatch(headers.get("traceparent", "").strip())
-    if parent is not None and parent[1] != "0" * 32:
+    parent = _parent_of(headers)
+    if parent is not None:
         return parent[1]
     given = headers.get(HEADER, "").strip()
     return given if _ID.fullmatch(given) else new_trace()
@@ -36,7 +42,9 @@ class Tracing:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        trace_id, began_s, status = trace_of(Headers(scope=scope)), time.perf_counter(), 0
+        headers = Headers(scope=scope)
+        trace_id, began_s, status = trace_of(headers), time.perf_counter(), 0
+        parent, method = _parent_of(headers), scope.get("method", "WS")
 
         async def answer(message: Message) -> None:
             nonlocal status
@@ -46,9 +54,25 @@ class Tracing:
             await send(message)
 
         with traced(trace_id):
+            span = spans.begin(method, "server", parent=int(parent[2], 16) if parent else None)
             try:
-                await self._app(scope, receive, answer)
+                with spans.within(span):
+                    await self._app(scope, receive, answer)
             finally:
                 ms = round((time.perf_counter() - began_s) * 1e3, 2)
-                asked = f"{scope.get('method', 'WS')} {scope['path']}"
-                log.info("%s", asked, extra=fields(status=status, ms=ms))
+                log.info("%s", f"{method} {scope['path']}", extra=fields(status=status, ms=ms))
+                if span is not None:
+                    route = getattr(scope.get("route"), "path", None)
+                    span.rename(f"{method} {route}" if route else method)
+                    span.end(**_said(method, scope["path"], route, status))
+
+
+def _said(method: str, path: str, route: str | None, status: int) -> dict[str, str | int | None]:
+    """Attributes by OpenTelemetry's conventions."""
+    return {
+        "http.request.method": method,
+        "url.path": path,
+        "http.route": route,
+        "http.response.status_code": status,
+        "error": f"status {status}" if status >= 500 else None,
+    }

@@ -12,6 +12,7 @@ from planner_service.service.service import PlannerService
 from planner_service.service.settings import PlannerSettings
 from shared.errors import MotionLoopError
 from shared.settings import add_arguments, load_settings
+from shared.spans import recorder_of, recording
 from shared.tracing import configure_logging
 
 
@@ -25,6 +26,7 @@ def run(arguments: Sequence[str]) -> int:
     try:
         settings = load_settings(PlannerSettings, vars(parser.parse_args(arguments)))
         configure_logging("planner", settings.log_level, settings.log_format)
+        recorder = recorder_of("planner")
         service = PlannerService(settings).start()
     except MotionLoopError as error:
         hint = f" (allowed: {error.allowed})" if error.allowed else ""
@@ -33,7 +35,8 @@ def run(arguments: Sequence[str]) -> int:
     if service.metrics.endpoint.url is not None:
         print(f"planner metrics at {service.metrics.endpoint.url}", flush=True)
     print(f"planner ready at {service.endpoint} with {', '.join(service.plugins)}", flush=True)
-    while not stop.wait(1.0):
-        continue
-    service.stop()
+    with recording(recorder):
+        while not stop.wait(1.0):
+            continue
+        service.stop()
     return 0

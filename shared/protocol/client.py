@@ -13,6 +13,7 @@ from typing import Any, Literal, TypeVar
 import zmq
 import zmq.asyncio
 
+from shared import spans
 from shared.errors import (
     DeadlineError,
     HandshakeRequiredError,
@@ -300,7 +301,8 @@ class AsyncServiceClient:
             left_s = until - time.monotonic()
             sent = _envelope(message, message_id, character_id, sequence, left_s, trace_id, welcome)
             try:
-                return _result(await self._exchange(sent, message, until))
+                with spans.asked(message.type, message_id, character=character_id, endpoint=self.peer.endpoint):
+                    return _result(await self._exchange(sent, message, until))
             except HandshakeRequiredError:
                 if self.welcome is welcome:
                     self.welcome = None

@@ -17,6 +17,7 @@ from typing import Any
 import zmq
 from pydantic import ValidationError
 
+from shared import spans
 from shared.errors import (
     DeadlineError,
     HandshakeRequiredError,
@@ -59,6 +60,7 @@ class _Job:
     envelope: Envelope
     message: Message
     done: threading.Event = field(default_factory=threading.Event)
+    span: spans.Open | None = None
 
 
 class ServiceServer:
@@ -268,10 +270,14 @@ class ServiceServer:
         outcome: Message | MotionLoopError | Future[Message]
         try:
             with traced(job.envelope.trace_id):
+                job.span = spans.answered(
+                    job.message.type, job.envelope.message_id, character=job.envelope.character_id
+                )  # fmt: skip
                 if isinstance(job.message, Hello):
                     outcome = self._shake_hands(job.message)
                 else:
-                    outcome = self._handlers[type(job.message)](job.envelope, job.message)
+                    with spans.within(job.span):
+                        outcome = self._handlers[type(job.message)](job.envelope, job.message)
         except Exception as error:  # noqa: BLE001 - the edge: whatever a handler raises, the sender gets a reply
             outcome = _as_motion_loop_error(error, job.message.type)
         if isinstance(outcome, Future):
@@ -302,6 +308,8 @@ class ServiceServer:
         """Send the reply to all who wait for it, and remember it if the request was carried out."""
         message = error_reply(outcome) if isinstance(outcome, MotionLoopError) else outcome
         message_id = job.envelope.message_id
+        if job.span is not None:
+            job.span.end(error=outcome.code if isinstance(outcome, MotionLoopError) else None)
         if log.isEnabledFor(logging.DEBUG):
             became = outcome.code if isinstance(outcome, MotionLoopError) else message.type
             with traced(job.envelope.trace_id):

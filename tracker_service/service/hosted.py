@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from shared import spans
 from shared.errors import ConflictError, InvalidInputError, SimulationError
 from shared.motion.heading import heading_of
 from shared.motion.rotations import matrix_from_quat
@@ -93,6 +94,7 @@ class HostedCharacter:
         self._settings = settings
         self._dump_dir = dump_dir
         self._on_tick = on_tick
+        self._entering: tuple[int, Callable[[], spans.Open | None]] | None = None
         self._log(simulation.sample())
         self._last_good = simulation.snapshot()
 
@@ -125,6 +127,8 @@ class HostedCharacter:
                     began_s = time.perf_counter()
                     self._log(self._simulation.step(1))
                     self._on_tick(time.perf_counter() - began_s)
+                    if self._entering is not None and self.tick > self._entering[0]:
+                        self._entered()
                 except SimulationError as error:
                     self._fail(error.message)
                     break
@@ -133,6 +137,13 @@ class HostedCharacter:
                     self._fail(f"a tick broke: {type(error).__name__}: {error}")
                     break
             return self.frame()
+
+    def _entered(self) -> None:
+        """The first tick of a plan has been done: its span."""
+        if self._entering is not None:
+            span, self._entering = self._entering[1](), None
+            if span is not None:
+                span.end()
 
     def lockstep(self, ticks: int) -> StateFrame:
         """`advance` on request.
@@ -187,7 +198,10 @@ class HostedCharacter:
             self._simulation.enter(message.start_tick, prepared, message.may_be_low)
             self._recover()
             self._last_good = self._simulation.snapshot()
-            return TrackReply(accepted=True, tick=now, entered_tick=max(now, message.start_tick))
+            entered = max(now, message.start_tick)
+            span = spans.later("tick", character=self.character_id, tick=entered)
+            self._entering = None if span is None else (entered, span)
+            return TrackReply(accepted=True, tick=now, entered_tick=entered)
 
     def impulse(self, body: str, impulse_w_ns: tuple[float, float, float]) -> None:
         """Push a body; raises InvalidInputError for an unknown one or too strong a push."""

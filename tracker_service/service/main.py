@@ -10,6 +10,7 @@ import threading
 
 from shared.errors import MotionLoopError
 from shared.settings import add_arguments, load_settings
+from shared.spans import recorder_of, recording
 from shared.tracing import configure_logging
 from tracker_service.service.settings import TrackerServiceSettings
 
@@ -41,7 +42,7 @@ def serve(settings: TrackerServiceSettings) -> int:
     ended = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: ended.set())
-    with TrackerService(settings) as service:
+    with recording(recorder_of("tracker")), TrackerService(settings) as service:
         if service.metrics.endpoint.url is not None:
             print(f"tracker_service metrics at {service.metrics.endpoint.url}", flush=True)
         print(f"tracker_service ready endpoint={service.endpoint} state={service.state_endpoint}", flush=True)
