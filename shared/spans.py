@@ -221,11 +221,17 @@ def asked(message_type: str, message_id: str, **attributes: Any) -> AbstractCont
     return around(begin(message_type, "client", span_number(message_id), **attributes))
 
 
-def answered(message_type: str, message_id: str, **attributes: Any) -> Open | None:
-    """Its span at the end that answers."""
+def answered(message_type: str, message_id: str, character_id: str | None = None) -> Open | None:
+    """Its span at the end that answers; to be ended by `end`."""
     if not _IN_USE or message_type in WATCHING:
         return None
-    return begin(message_type, "server", parent=span_number(message_id), **attributes)
+    return begin(message_type, "server", parent=span_number(message_id), character=character_id)
+
+
+def end(opened: Open | None, error: str | None = None) -> None:
+    """End a span, if there is one."""
+    if opened is not None:
+        opened.end(error=error)
 
 
 @contextmanager
@@ -251,8 +257,7 @@ def around(opened: Open | None) -> Iterator[Open | None]:
         error = f"{type(raised).__name__}: {raised}"
         raise
     finally:
-        if opened is not None:
-            opened.end(error=error)
+        end(opened, error)
 
 
 def _clean(attributes: Mapping[str, Any]) -> dict[str, Any]:

@@ -269,15 +269,10 @@ class ServiceServer:
             return
         outcome: Message | MotionLoopError | Future[Message]
         try:
-            with traced(job.envelope.trace_id):
-                job.span = spans.answered(
-                    job.message.type, job.envelope.message_id, character=job.envelope.character_id
-                )  # fmt: skip
-                if isinstance(job.message, Hello):
-                    outcome = self._shake_hands(job.message)
-                else:
-                    with spans.within(job.span):
-                        outcome = self._handlers[type(job.message)](job.envelope, job.message)
+            asked = (job.message.type, job.envelope.message_id, job.envelope.character_id)
+            with traced(job.envelope.trace_id), spans.within(span := spans.answered(*asked)):
+                job.span = span
+                outcome = self._handlers.get(type(job.message), self._shake_hands)(job.envelope, job.message)
         except Exception as error:  # noqa: BLE001 - the edge: whatever a handler raises, the sender gets a reply
             outcome = _as_motion_loop_error(error, job.message.type)
         if isinstance(outcome, Future):
@@ -285,7 +280,7 @@ class ServiceServer:
         else:
             self._finish(job, outcome)
 
-    def _shake_hands(self, hello: Hello) -> Welcome:
+    def _shake_hands(self, envelope: Envelope, hello: Hello) -> Welcome:
         if hello.protocol_version != PROTOCOL_VERSION:
             raise IncompatiblePeerError(
                 f"{hello.client} speaks protocol version {hello.protocol_version}, this service {PROTOCOL_VERSION}",
@@ -308,8 +303,7 @@ class ServiceServer:
         """Send the reply to all who wait for it, and remember it if the request was carried out."""
         message = error_reply(outcome) if isinstance(outcome, MotionLoopError) else outcome
         message_id = job.envelope.message_id
-        if job.span is not None:
-            job.span.end(error=outcome.code if isinstance(outcome, MotionLoopError) else None)
+        spans.end(job.span, outcome.code if isinstance(outcome, MotionLoopError) else None)
         if log.isEnabledFor(logging.DEBUG):
             became = outcome.code if isinstance(outcome, MotionLoopError) else message.type
             with traced(job.envelope.trace_id):

@@ -67,7 +67,7 @@ def test_a_span_belongs_to_its_trace_and_to_what_led_to_it(finished: Callable[[]
 
 def test_an_answer_belongs_to_its_request_and_says_what_went_wrong(finished: Callable[[], dict[str, Any]]) -> None:
     with traced("order-17"):
-        answer = spans.answered("Track", "message-2", character="c")
+        answer = spans.answered("Track", "message-2", "c")
         assert answer is not None
         answer.end(error="conflict")
     (made,) = finished().values()

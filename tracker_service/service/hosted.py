@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from shared import spans
 from shared.errors import ConflictError, InvalidInputError, SimulationError
 from shared.motion.heading import heading_of
 from shared.motion.rotations import matrix_from_quat
@@ -34,6 +33,7 @@ from shared.protocol.messages import (
     TrackReply,
 )
 from tracker_service.service.dumps import dump_state
+from tracker_service.service.entering import Entering
 from tracker_service.service.log_tail import pack_tail, split_buffers
 from tracker_service.service.plan_check import check_plan, late_reason
 from tracker_service.service.replies import check_range, state_frame, tick_range
@@ -94,7 +94,7 @@ class HostedCharacter:
         self._settings = settings
         self._dump_dir = dump_dir
         self._on_tick = on_tick
-        self._entering: tuple[int, Callable[[], spans.Open | None]] | None = None
+        self._entering = Entering(character_id)
         self._log(simulation.sample())
         self._last_good = simulation.snapshot()
 
@@ -127,8 +127,7 @@ class HostedCharacter:
                     began_s = time.perf_counter()
                     self._log(self._simulation.step(1))
                     self._on_tick(time.perf_counter() - began_s)
-                    if self._entering is not None and self.tick > self._entering[0]:
-                        self._entered()
+                    self._entering.ticked(self.tick)
                 except SimulationError as error:
                     self._fail(error.message)
                     break
@@ -137,13 +136,6 @@ class HostedCharacter:
                     self._fail(f"a tick broke: {type(error).__name__}: {error}")
                     break
             return self.frame()
-
-    def _entered(self) -> None:
-        """The first tick of a plan has been done: its span."""
-        if self._entering is not None:
-            span, self._entering = self._entering[1](), None
-            if span is not None:
-                span.end()
 
     def lockstep(self, ticks: int) -> StateFrame:
         """`advance` on request.
@@ -199,8 +191,7 @@ class HostedCharacter:
             self._recover()
             self._last_good = self._simulation.snapshot()
             entered = max(now, message.start_tick)
-            span = spans.later("tick", character=self.character_id, tick=entered)
-            self._entering = None if span is None else (entered, span)
+            self._entering.expect(entered)
             return TrackReply(accepted=True, tick=now, entered_tick=entered)
 
     def impulse(self, body: str, impulse_w_ns: tuple[float, float, float]) -> None:
