@@ -5,21 +5,20 @@ from __future__ import annotations
 from typing import Literal
 
 from shared.motion.skeleton import CANONICAL
-from shared.tasks.interface import BodyView, PlanGoal
+from shared.tasks.interface import RISE_PLANNER, BodyView, PlanGoal
 
 OnFall = Literal["stay", "reset", "get_up"]
 """`stay`: it lies until it is told otherwise. `reset`: it is put on its feet where it is. `get_up`: it gets up, by the
 planner `rise` where the planner service has it, else by what the character's own planner makes of the words."""
 
 GET_UP_TEXT = "a person gets up from the floor."
-RISE = "rise"
 UP_SHARE = 0.85
 """Up is whose pelvis is at this share of its height in standing."""
 
 
 def get_up_goal() -> PlanGoal:
     """What to ask for while a body that should get up does so. Lying is still a fall, and not what was asked for."""
-    return PlanGoal(text=GET_UP_TEXT, may_be_low=False, planner=RISE)
+    return PlanGoal(text=GET_UP_TEXT, may_be_low=False, planner=RISE_PLANNER)
 
 
 class Down:

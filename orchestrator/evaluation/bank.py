@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +19,22 @@ import numpy.typing as npt
 from orchestrator.core.agenda import task_seed
 from orchestrator.core.character import CharacterSpec
 from orchestrator.core.command import Command, CommandGoal
+from orchestrator.core.episode import EpisodeRunner
 from orchestrator.core.events import EventLog
 from orchestrator.core.loop import GoalSource
 from orchestrator.core.services import Services
 from orchestrator.core.session import Session
 from orchestrator.core.settings import LOCKSTEP, LoopSettings
 from orchestrator.evaluation.commands import DEFAULT
+from orchestrator.evaluation.rows import Measured
+from orchestrator.evaluation.tasks import episode_spec
+from shared.data.props import Seat
 from shared.protocol.messages import TICK_HZ, StateFrame
+from shared.scenes.placing import mark_place
+from shared.scenes.schema import Scene
 from shared.tasks.builtin import ReachTask
 from shared.tasks.interface import BodyView
+from shared.tasks.places import USUAL_HALF_SIZE_M
 from shared.tasks.specs import ReachSpec
 
 Array = npt.NDArray[np.float32]
@@ -43,15 +50,22 @@ LEADS_TICKS = (0, 12)
 LOST_M = 0.3
 LEAST_TICKS = 45
 RESET_S = 1.0
+TASKS_LOST_M = 0.6
+"""Where a task fails its plan is kept for a while after the body was lost: that is what is to be learnt."""
+EDGE_M = Seat((0.0, 0.0, 0.0), 0.0).size_m[0] / 2
+"""The place to sit that trackers are trained with lies so far behind a seat's front edge."""
+SEAT_MARK = "seat_centre"
+WIDE_M = 0.5
 
 
-def pieces(reference_w_m: Array, error_m: Array, fallen: npt.NDArray[np.bool_]) -> list[Array]:
+def pieces(reference_w_m: Array, error_m: Array, fallen: npt.NDArray[np.bool_], lost_m: float = LOST_M) -> list[Array]:
     """Stretches (T, 22, 3) of a reference (N, 22, 3) during which the body was with it, of at least 1.5 s.
 
     Args:
         error_m: (N,) mean joint distance of the body to its reference. fallen: (N,).
+        lost_m: a body farther from it was not.
     """
-    good = (error_m < LOST_M) & ~fallen
+    good = (error_m < lost_m) & ~fallen
     edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(np.int8)))
     return [
         reference_w_m[start:stop]
@@ -104,6 +118,76 @@ async def record_bank(
         "falls": total["falls"],
         "segments": total["segments"],
     }
+
+
+def seat_of(scene: Scene, reference_w_m: Array) -> Array | None:
+    """(5,) x, y and height of where a reference (T, 22, 3) sits on a scene's seat, its heading, and 1 for a sofa; None
+    without a seat."""
+    if SEAT_MARK not in scene.marks:
+        return None
+    place = mark_place(scene, SEAT_MARK)
+    out = np.array([np.cos(place.heading_rad), np.sin(place.heading_rad)])
+    left = np.array([-out[1], out[0]])
+    half = place.half_size_m or USUAL_HALF_SIZE_M
+    pelvis = reference_w_m[:, 0]
+    aside = float((pelvis[np.argmin(pelvis[:, 2]), :2] - place.position_w_m[:2]) @ left)
+    aside = float(np.clip(aside, -half[1], half[1]))
+    xy = place.position_w_m[:2] + out * (half[0] - EDGE_M) + left * aside
+    return np.array([*xy, place.position_w_m[2], place.heading_rad, float(half[1] > WIDE_M)], dtype=np.float32)
+
+
+async def record_tasks(
+    services: Services,
+    out: Path,
+    tasks: Sequence[str],
+    episodes: int,
+    seed: int,
+    parallel: int = 8,
+    planner: str | None = None,
+    tracker: str | None = None,
+    progress: Callable[[int, int, dict[str, Any]], None] | None = None,
+) -> dict[str, Any]:
+    """Record episodes of `eval tasks`, every second with sizes and heights varied, one .npz a stretch.
+
+    Beside `positions_w_m` each file of a scene with a seat holds `seat` (5,), see `seat_of`.
+
+    Returns:
+        {pieces, minutes, episodes, done}.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    total = {"pieces": 0, "ticks": 0, "episodes": 0, "done": 0}
+    gate = asyncio.Semaphore(parallel)
+
+    async def one(task: str, index: int) -> None:
+        spec = episode_spec((task, index), Measured(seed, "closed_loop", planner, tracker, index % 2 == 1))
+        runner = EpisodeRunner(str(uuid.uuid4()), spec, services, EventLog())
+        async with gate:
+            outcome = await runner.run()
+            try:
+                log = await runner.session.loop.ticks(0, runner.tick, TICK_HZ, reference=True)
+            finally:
+                await runner.session.close()
+        reference = np.asarray(log.reference_pos_w_m, dtype=np.float32)
+        found = pieces(reference, np.asarray(log.tracking_error_m), np.asarray(log.fallen, dtype=bool), TASKS_LOST_M)
+        seat = seat_of(spec.scene, reference) if isinstance(spec.scene, Scene) else None
+        for number, piece in enumerate(found):
+            known: dict[str, Any] = {} if seat is None else {"seat": seat}
+            np.savez_compressed(out / f"{task}_{seed}_{index:04d}_{number}.npz", positions_w_m=piece, **known)
+            total["pieces"] += 1
+            total["ticks"] += len(piece)
+        total["episodes"] += 1
+        total["done"] += outcome.success
+        if progress is not None:
+            progress(total["episodes"], episodes * len(tasks), {"strict": outcome.success})
+
+    async with asyncio.TaskGroup() as group:
+        for task in tasks:
+            for index in range(episodes):
+                group.create_task(one(task, index))
+    return {
+        "pieces": total["pieces"], "minutes": round(total["ticks"] / TICK_HZ / 60, 2), "episodes": total["episodes"],
+        "done": total["done"],
+    }  # fmt: skip
 
 
 def choose_goal(rng: np.random.Generator, state: StateFrame) -> GoalSource:

@@ -67,6 +67,10 @@ class Obstacle:
     radius_m: float
 
 
+RISE_PLANNER = "rise"
+"""Plug-in that knows ways up from lying; see PlanGoal.planner."""
+
+
 @dataclass(frozen=True)
 class PlanGoal:
     """What the planner is asked for, in the character's own world. Every part is optional.

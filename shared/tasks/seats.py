@@ -15,7 +15,7 @@ from shared.scenes.placing import Place
 from shared.tasks import object_rules
 from shared.tasks.approach import Approach, turn_on_the_spot
 from shared.tasks.builtin import HaltTask
-from shared.tasks.interface import BodyView, PlanGoal, Posture, Status, Task, Trace, Verdict
+from shared.tasks.interface import RISE_PLANNER, BodyView, PlanGoal, Posture, Status, Task, Trace, Verdict
 from shared.tasks.object_specs import GetUpSpec, SitSpec
 from shared.tasks.places import MarkedObject, marked_object
 from shared.tasks.specs import HaltSpec, ReachTuning
@@ -265,19 +265,25 @@ class GetUpTask(Task):
         pelvis, target = view.pos_w_m[PELVIS], self.target_w_m
         if float(np.linalg.norm(pelvis - target)) < 0.2 * view.scale:
             return self._stand.goal(view, plan_tick)
-        if self._spec.from_ == "seat":
-            if pelvis[2] >= UP_SHARE * target[2]:
-                return self._walk.goal(view, target[:2], plan_tick)
-            target = np.array([*view.pos_w_m[SOLES, :2].mean(axis=0), target[2]])
-        aim = self._approach.target(pelvis, target, plan_tick, view.scale)
+        if pelvis[2] >= UP_SHARE * target[2]:
+            return self._walk.goal(view, target[:2], plan_tick)
+        if self._spec.from_ == "floor":
+            return self._off_the_floor(view, plan_tick)
+        over_feet = np.array([*view.pos_w_m[SOLES, :2].mean(axis=0), target[2]])
+        aim = self._approach.target(pelvis, over_feet, plan_tick, view.scale)
         heading = None
         if self._facing_rad is not None:
             heading = HeadingTarget(heading_rad=self._facing_rad, arrival_tick=aim.arrival_tick)
-        floor = self._spec.from_ == "floor"
         return PlanGoal(
-            text=self._spec.prompt, targets=(aim,), heading=heading, guidance=self._spec.guidance,
-            may_be_low=True if floor else None, hold_ticks=0 if floor else HOLD_TICKS,
-        )  # fmt: skip
+            text=self._spec.prompt, targets=(aim,), heading=heading, guidance=self._spec.guidance, hold_ticks=HOLD_TICKS
+        )
+
+    def _off_the_floor(self, view: BodyView, plan_tick: int) -> PlanGoal:
+        """By a known way up, unless other words are asked for: those are the character's own planner's."""
+        if self._spec.text is None:
+            return PlanGoal(text=self._spec.prompt, may_be_low=True, planner=RISE_PLANNER)
+        aim = self._approach.target(view.pos_w_m[PELVIS], self.target_w_m, plan_tick, view.scale)
+        return PlanGoal(text=self._spec.prompt, targets=(aim,), guidance=self._spec.guidance, may_be_low=True)
 
     def status(self, trace: Trace) -> Status:
         """Done when it has stood on both feet for half a second."""

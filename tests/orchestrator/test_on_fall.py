@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from orchestrator.core.on_fall import RISE, Down, get_up_goal
+from orchestrator.core.on_fall import Down, get_up_goal
 from shared.motion.ik import standing_clip
-from shared.tasks.interface import BodyView
+from shared.tasks.interface import RISE_PLANNER, BodyView
 
 STAND = standing_clip(2, 30.0).positions_w_m[0].astype(np.float64)
 
@@ -38,4 +38,4 @@ def test_a_child_stands_lower() -> None:
 
 def test_getting_up_asks_for_its_own_planner_and_lying_is_still_a_fall() -> None:
     goal = get_up_goal()
-    assert goal.planner == RISE and goal.may_be_low is False
+    assert goal.planner == RISE_PLANNER and goal.may_be_low is False

@@ -17,7 +17,7 @@ from shared.scenes.files import load_scene
 from shared.scenes.placing import pose_of
 from shared.tasks import object_rules
 from shared.tasks.factory import KINDS, TaskSpec, make_task
-from shared.tasks.interface import BodyView, Trace
+from shared.tasks.interface import RISE_PLANNER, BodyView, Trace
 from shared.tasks.object_specs import GetUpSpec, SitSpec, StrikeSpec
 from shared.tasks.specs import ReachSpec, VelocitySpec
 from shared.tasks.world import World
@@ -198,7 +198,12 @@ def test_getting_up_goes_over_the_feet_and_ends_before_the_seat_or_where_it_lay(
     floor = make_task(GetUpSpec.model_validate({"from": "floor"}), 0)
     floor.start(view("flat", 2.0, 1.0, lift=-0.8))
     goal = floor.goal(view("flat", 2.0, 1.0, lift=-0.8), 0)
-    assert goal.may_be_low
+    assert (goal.may_be_low, goal.planner, goal.targets) == (True, RISE_PLANNER, ())
+    # Other words than its own are the character's own planner's.
+    told = make_task(GetUpSpec.model_validate({"from": "floor", "text": "a person rolls over and stands up."}), 0)
+    told.start(view("flat", 2.0, 1.0, lift=-0.8))
+    goal = told.goal(view("flat", 2.0, 1.0, lift=-0.8), 0)
+    assert goal.may_be_low and goal.planner is None
     assert goal.targets[0].position_w_m == pytest.approx((2.0, 1.0, 0.9), abs=0.02)
     assert (task.posture, floor.posture, make_task(SitSpec(), 0).posture) == ("upright", "from_floor", "seated")
 

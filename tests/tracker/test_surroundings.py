@@ -16,7 +16,7 @@ from tracker_service.simulation.character import SimulatedCharacter
 from tracker_service.simulation.character_spec import HUMAN
 from tracker_service.simulation.humanoid import humanoid
 from tracker_service.simulation.scene import build_scene
-from tracker_service.training.seats import SEAT_SIZE_M, height_points, seat_heights
+from tracker_service.training.seats import BACK_SIZE_M, EDGE_M, SEAT_SIZE_M, SOFA_SIZE_M, height_points, seat_heights
 
 HUMANOID = humanoid(HUMAN)
 THINGS = parse_scene(
@@ -113,22 +113,33 @@ def test_heights_are_those_of_what_is_below_the_pelvis() -> None:
     assert character.observe().seat_height_w_m[0] == 0
 
 
+@pytest.mark.parametrize("sofa", [0.0, 1.0])
 @pytest.mark.parametrize("top_m", [0.3, 0.55])
-def test_heights_are_those_that_training_shows(top_m: float) -> None:
-    """The policy is trained on the analytic heights of one block; in use it sees rays cast on the scene."""
+def test_heights_are_those_that_training_shows(top_m: float, sofa: float) -> None:
+    """The policy is trained on the analytic heights of its blocks; in use it sees rays cast on the scene."""
     x, y, heading = 0.15, -0.1, 0.4
-    half = [size / 2 for size in SEAT_SIZE_M]
+    boxes = [(SEAT_SIZE_M, 0.0, -SEAT_SIZE_M[2] / 2)]
+    if sofa:
+        rear = EDGE_M - SOFA_SIZE_M[0]
+        boxes = [
+            (SOFA_SIZE_M, EDGE_M - SOFA_SIZE_M[0] / 2, -SOFA_SIZE_M[2] / 2),
+            (BACK_SIZE_M, rear + BACK_SIZE_M[0] / 2, BACK_SIZE_M[2] / 2),
+        ]
+    parts = [
+        f"{{shape: box, size_m: {[s / 2 for s in size]}, position_b_m: [{ahead}, 0, {up}]}}"
+        for size, ahead, up in boxes
+    ]
     scene = parse_scene(
-        f"name: seat\nbodies: [{{name: seat, shape: box, size_m: {half}, heading_deg: {np.degrees(heading)},"
-        f" position_w_m: [{x}, {y}, {top_m - half[2]}]}}]"
+        f"name: seat\nbodies: [{{name: seat, parts: [{', '.join(parts)}], heading_deg: {np.degrees(heading)},"
+        f" position_w_m: [{x}, {y}, {top_m}]}}]"
     )
     character = SimulatedCharacter(build_scene(HUMANOID, scene), make_tracker("pd", HUMANOID), heading_rad=-0.7)
     seen = character.observe()
     feet = (CANONICAL.index("left_foot"), CANONICAL.index("right_foot"))
     forward = matrix_from_quat(seen.body_quat_w[:1])[:, :, 0]
     points = height_points(seen.body_pos_w_m[None], forward, feet)
-    wanted = seat_heights(points, seen.body_pos_w_m[None, 0, 2], np.array([[x, y, top_m, heading]]))[0]
-    assert wanted.any() and not wanted.all()
+    wanted = seat_heights(points, seen.body_pos_w_m[None, 0, 2], np.array([[x, y, top_m, heading, sofa]]))[0]
+    assert wanted.any() and not wanted.all() and (len(set(wanted)) == 3 if sofa else len(set(wanted)) == 2)
     np.testing.assert_allclose(
         np.concatenate([seen.ground_height_w_m, seen.foot_height_w_m, seen.seat_height_w_m]), wanted, atol=1e-6
     )

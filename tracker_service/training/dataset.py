@@ -19,7 +19,7 @@ from shared.protocol.rates import TICK_HZ
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.simulation.kinematics import BodyKinematics, qvel_from_qpos
 from tracker_service.simulation.reference import central_velocity, reference_ticks
-from tracker_service.training.seats import NO_SEAT, lowered, training_model
+from tracker_service.training.seats import NO_SEAT, Seat, lowered, training_model
 
 F32 = npt.NDArray[np.float32]
 PLAN = "plan"
@@ -30,20 +30,20 @@ JUMP_M = 0.045
 JOB_CLIPS = 50
 LARGEST_CHANGE_RAD = 1.0
 """Arms circled backward and deep squats pass a pole of the shoulder's or hip's three hinges, where the angles jump."""
-PREPARATION = "6"
+PREPARATION = "7"
 """Changes whenever prepared arrays would come out differently; part of the cache's key."""
 
 
 @dataclass(frozen=True)
 class MotionInput:
     """A clip to prepare: its name, behaviour, sampling weight and joint positions (T, 22, 3) at 30 Hz, and the seat in
-    it: centre of the top (x, y, z) and heading."""
+    it, as `training.seats.NO_SEAT` has it."""
 
     name: str
     behaviour: str
     weight: float
     positions_w_m: npt.NDArray[np.floating]
-    seat: tuple[float, float, float, float] = NO_SEAT
+    seat: Seat = NO_SEAT
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class ReferenceSet:
         pos_w_m, linvel_w_mps: (N, J, 3). rot_xy: (N, J, 2, 3) the first two columns of each body's world rotation.
         qpos: (N, 7+H). qvel: (N, 6+H).
         start, length: (C,) first tick and number of ticks of each clip. weight: (C,) for sampling.
-        names, behaviours: (C,) of each clip. seat: (C, 4) centre of its top and heading, far below where there is none.
+        names, behaviours: (C,) of each clip. seat: (C, 5) as `training.seats.NO_SEAT`, which is where none is.
     """
 
     pos_w_m: F32
@@ -73,10 +73,10 @@ class ReferenceSet:
         return len(self.start)
 
 
-def seat_in(clip: ClipInfo) -> tuple[float, float, float, float]:
-    """Centre of the top and heading of the seat in a clip; out of the way where there is none."""
+def seat_in(clip: ClipInfo) -> Seat:
+    """The seat in a clip, a stool; out of the way where there is none."""
     seat = getattr(clip, "seat", None)
-    return NO_SEAT if seat is None else (*seat.top_m, seat.heading_rad)
+    return NO_SEAT if seat is None else (*seat.top_m, seat.heading_rad, 0.0)
 
 
 def sized(motion: MotionInput, human: Humanoid) -> MotionInput:
@@ -85,7 +85,7 @@ def sized(motion: MotionInput, human: Humanoid) -> MotionInput:
     if own.world_scale == 1.0:
         return motion
     x, y, z = (float(v) for v in own.from_canonical(motion.seat[:3]))
-    seat = motion.seat if motion.seat == NO_SEAT else (x, y, z, motion.seat[3])
+    seat = motion.seat if motion.seat == NO_SEAT else (x, y, z, *motion.seat[3:])
     return replace(motion, positions_w_m=own.from_canonical(motion.positions_w_m), seat=seat)
 
 
@@ -114,6 +114,7 @@ def load_bank(folder: Path) -> list[MotionInput]:
         with np.load(path, allow_pickle=False) as data:
             whole = data["positions_w_m"]
             behaviour = str(data["behaviour"]) if "behaviour" in data else PLAN
+            x, y, top, heading, sofa = (float(v) for v in data["seat"]) if "seat" in data else NO_SEAT
         if behaviour != PLAN:
             motions.append(MotionInput(path.stem, behaviour, 1.0, whole))
             continue
@@ -121,7 +122,7 @@ def load_bank(folder: Path) -> list[MotionInput]:
             end = max(last - PIECE_TICKS // 2, first + 1)
             for begin in range(first, end, PIECE_TICKS - PIECE_OVERLAP_TICKS):
                 cut = whole[begin : min(begin + PIECE_TICKS, last)]
-                motions.append(MotionInput(f"{path.stem}@{begin}", PLAN, 1.0, cut))
+                motions.append(MotionInput(f"{path.stem}@{begin}", PLAN, 1.0, cut, (x, y, top, heading, sofa)))
     if not motions:
         raise InvalidInputError(f"no pieces in {folder}", field="bank", allowed="a folder of `motionloop data bank`")
     return motions
@@ -182,11 +183,13 @@ def _prepared(
 ) -> ReferenceSet:
     kinematics = BodyKinematics(human)
     model = training_model(human)
-    seats: list[tuple[float, ...]] = []
+    seats: list[Seat] = []
     parts: dict[str, list[F32]] = {"pos_w_m": [], "linvel_w_mps": [], "rot_xy": [], "qpos": [], "qvel": []}
     for number, motion in enumerate(motions):
         ticks = reference_ticks(human, kinematics, motion.positions_w_m)
-        seats.append(lowered(model, ticks.qpos, motion.seat) if motion.seat[2] > 0 else motion.seat)
+        # A plan on a real seat is practised on that seat; what was recorded or made has none but this one.
+        known = motion.seat[2] <= 0 or motion.behaviour == PLAN
+        seats.append(motion.seat if known else lowered(model, ticks.qpos, motion.seat))
         qvel = qvel_from_qpos(ticks.qpos, TICK_HZ)
         states = kinematics.states(ticks.qpos, qvel)
         parts["pos_w_m"].append(ticks.pos_w_m.astype(np.float32))
@@ -204,7 +207,7 @@ def _prepared(
         weight=np.array([m.weight for m in motions], dtype=np.float64),
         names=np.array([m.name for m in motions], dtype=np.str_),
         behaviours=np.array([m.behaviour for m in motions], dtype=np.str_),
-        seat=np.array(seats, dtype=np.float64).reshape(-1, 4),
+        seat=np.array(seats, dtype=np.float64).reshape(-1, 5),
     )
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import numpy.typing as npt
 import torch
 import typer
 
@@ -31,6 +32,7 @@ from tracker_service.training.dataset import (
 )
 from tracker_service.training.env import EnvSettings
 from tracker_service.training.ppo import PpoSettings
+from tracker_service.training.seats import wide_fits
 from tracker_service.training.trainer import Trainer
 
 LEAST_TICKS = 30
@@ -72,6 +74,7 @@ def training_sets(
     jumping = hinges_jump(train_set)
     say(f"{int(jumping.sum())} clips left out: a hinge jumps by more than {LARGEST_CHANGE_RAD:g} rad in a tick")
     train_set = replace(train_set, weight=train_set.weight * ~jumping)
+    train_set = replace(train_set, seat=with_sofas(train_set, human))
     factors = np.array([focus.get(str(name), 1.0) for name in train_set.behaviours])
     train_set = replace(train_set, weight=train_set.weight * factors)
     later = sum(banks.values())
@@ -84,6 +87,18 @@ def training_sets(
         heldout_set = concatenated(heldout_set, prepare_cached(human, heldout, cache), 0.5)
     say(f"{len(train_set)} clips, {len(train_set.qpos) / 1800:.1f} min to train on; {len(heldout_set)} held out")
     return train_set, heldout_set
+
+
+def with_sofas(references: ReferenceSet, human: Humanoid) -> npt.NDArray[np.float64]:
+    """(C, 5) seats, every second of those that a sofa could stand in for being one."""
+    feet = human.skeleton.indices("left_ankle", "right_ankle", "left_foot", "right_foot")
+    seats = references.seat.copy()
+    fit = [
+        clip for clip in np.flatnonzero(seats[:, 2] > 0)
+        if wide_fits(references.pos_w_m[references.start[clip] :][: references.length[clip]], seats[clip], feet)
+    ]  # fmt: skip
+    seats[fit[::2], 4] = 1.0
+    return seats
 
 
 def train(

@@ -1,6 +1,6 @@
-"""Seats in training: one block for each environment, moved to where its clip has a seat, and the heights it makes.
+"""Seats in training: a stool and a sofa for each environment, moved to where its clip has a seat, and their heights.
 
-The block is a mocap body of the training model: `mujoco.rollout` takes its pose with the controls, so that seats of all
+Both are mocap bodies of the training model: `mujoco.rollout` takes their poses with the controls, so that seats of all
 heights stand in one rollout. Heights have the meaning and order of `TrackerObservation`: ground grid, feet, pelvis.
 """
 
@@ -18,30 +18,58 @@ Floats = npt.NDArray[np.floating]
 SEAT_SIZE_M = (0.40, 0.45, 0.06)
 """Extent of the block forward, across and down from its top."""
 HEIGHTS = len(GROUND_GRID_M) ** 2 + 3
-NO_SEAT = (0.0, 0.0, -5.0, 0.0)
-"""Centre of the top and heading of a seat that is out of the way."""
+EDGE_M = SEAT_SIZE_M[0] / 2
+"""The front edge lies so far ahead of a seat's place, be it a stool or a sofa."""
+SOFA_SIZE_M = (0.90, 2.00, 0.30)
+BACK_SIZE_M = (0.22, 2.00, 0.392)
+"""Extent of a sofa's seat and, upon its rear, of its back: those of the scene `sofa`, closed down to the floor."""
+NO_SEAT = (0.0, 0.0, -5.0, 0.0, 0.0)
+"""x, y and height of the place to sit, its heading, and 1 for a sofa (0 for a stool); this one is out of the way."""
+Seat = tuple[float, float, float, float, float]
 CONTROL_SPEC = int(
     mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT
 )
 
 
 def training_model(human: Humanoid) -> mujoco.MjModel:
-    """The humanoid over a floor with a block that can stand anywhere."""
+    """The humanoid over a floor with a stool and a sofa that can stand anywhere."""
     spec = humanoid_spec(human)
-    body = spec.worldbody.add_body(name="seat", mocap=True, pos=[0, 0, NO_SEAT[2]])
-    half = [s / 2 for s in SEAT_SIZE_M]
-    body.add_geom(
-        name="seat", type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=[0, 0, -half[2]],
-        friction=[human.character.sole_friction, 0.005, 0.0001], contype=WORLD_BIT, conaffinity=BODY_BIT,
-    )  # fmt: skip
+    deep, wide, thick = SOFA_SIZE_M
+    middle = EDGE_M - deep / 2
+    parts = {
+        "stool": [(SEAT_SIZE_M, [0, 0, -SEAT_SIZE_M[2] / 2])],
+        "sofa": [
+            ((deep, wide, thick), [middle, 0, -thick / 2]),
+            (BACK_SIZE_M, [EDGE_M - deep + BACK_SIZE_M[0] / 2, 0, BACK_SIZE_M[2] / 2]),
+        ],
+    }
+    for name, boxes in parts.items():
+        body = spec.worldbody.add_body(name=name, mocap=True, pos=[0, 0, NO_SEAT[2]])
+        for size, place in boxes:
+            body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX, size=[s / 2 for s in size], pos=place,
+                friction=[human.character.sole_friction, 0.005, 0.0001], contype=WORLD_BIT, conaffinity=BODY_BIT,
+            )  # fmt: skip
     return spec.compile()
 
 
 def mocap_of(seat: Floats) -> npt.NDArray[np.float64]:
-    """(B, 7) mocap position and quaternion of seats (B, 4): centre of the top and heading."""
-    half = seat[:, 3] / 2
+    """(B, 14) mocap positions of stool and sofa and then their quaternions, for seats (B, 5) as `NO_SEAT` has them."""
+    half, sofa = seat[:, 3] / 2, seat[:, 4:] > 0
+    away = np.broadcast_to(NO_SEAT[:3], (len(seat), 3))
     zero = np.zeros_like(half)
-    return np.concatenate([seat[:, :3], np.stack([np.cos(half), zero, zero, np.sin(half)], axis=-1)], axis=-1)
+    turn = np.stack([np.cos(half), zero, zero, np.sin(half)], axis=-1)
+    return np.concatenate([np.where(sofa, away, seat[:, :3]), np.where(sofa, seat[:, :3], away), turn, turn], axis=-1)
+
+
+def wide_fits(pos_w_m: Floats, seat: Floats, feet: npt.NDArray[np.integer]) -> bool:
+    """Whether a clip (T, J, 3) on a stool would go with a sofa in its place: no foot ever is behind the front edge.
+
+    Args:
+        feet: indices of ankles and feet.
+    """
+    along = (pos_w_m[:, feet, :2] - seat[:2]) @ np.array([np.cos(seat[3]), np.sin(seat[3])])
+    return bool(along.min() >= EDGE_M)
 
 
 def height_points(pos_w_m: Floats, forward_w: Floats, feet: tuple[int, int]) -> Floats:
@@ -60,14 +88,19 @@ def height_points(pos_w_m: Floats, forward_w: Floats, feet: tuple[int, int]) -> 
 
 
 def seat_heights(points_m: Floats, pelvis_height_m: Floats, seat: Floats) -> Floats:
-    """(B, N) heights at points (B, N, 2): the seat's top where it lies under the point and below the pelvis, else 0."""
+    """(B, N) heights at points (B, N, 2): the seat's top where it lies under the point and below the pelvis, else 0.
+
+    Where a sofa's back is lower than the pelvis it counts too.
+    """
     offset = points_m - seat[:, None, :2]
     c, s = np.cos(seat[:, 3])[:, None], np.sin(seat[:, 3])[:, None]
-    along = c * offset[..., 0] + s * offset[..., 1]
-    across = c * offset[..., 1] - s * offset[..., 0]
-    over = (np.abs(along) <= SEAT_SIZE_M[0] / 2) & (np.abs(across) <= SEAT_SIZE_M[1] / 2)
-    top = seat[:, 2:3]
-    return np.where(over & (top > 0) & (top < pelvis_height_m[:, None]), top, 0.0)
+    behind = EDGE_M - (c * offset[..., 0] + s * offset[..., 1])
+    across = np.abs(c * offset[..., 1] - s * offset[..., 0])
+    sofa, top, pelvis = seat[:, 4:] > 0, seat[:, 2:3], pelvis_height_m[:, None]
+    deep, wide = (np.where(sofa, SOFA_SIZE_M[i], SEAT_SIZE_M[i]) for i in range(2))
+    over = (behind >= 0) & (behind <= deep) & (across <= wide / 2) & (top > 0)
+    back = over & sofa & (behind >= deep - BACK_SIZE_M[0]) & (top + BACK_SIZE_M[2] < pelvis)
+    return np.where(back, top + BACK_SIZE_M[2], np.where(over & (top < pelvis), top, 0.0))
 
 
 SEATED_BODIES = ("pelvis", "left_hip", "right_hip", "spine1")
@@ -75,7 +108,7 @@ ALLOWED_M = 0.005
 STRIDE = 3
 
 
-def lowered(model: mujoco.MjModel, qpos: Floats, seat: tuple[float, float, float, float]) -> tuple[float, ...]:
+def lowered(model: mujoco.MjModel, qpos: Floats, seat: Seat) -> Seat:
     """A clip's seat, lowered until the body that sits on it is at most ALLOWED_M deep in it.
 
     Retargeted and made sits know joints, not flesh: their thighs are up to 7 cm deep in the block, which would throw
@@ -86,8 +119,8 @@ def lowered(model: mujoco.MjModel, qpos: Floats, seat: tuple[float, float, float
     """
     data = mujoco.MjData(model)
     place = mocap_of(np.array([seat]))[0]
-    data.mocap_pos[0], data.mocap_quat[0] = place[:3], place[3:]
-    block = model.body("seat").id
+    data.mocap_pos[:], data.mocap_quat[:] = place[:6].reshape(2, 3), place[6:].reshape(2, 4)
+    blocks = {model.body(name).id for name in ("stool", "sofa")}
     seated = {model.body(name).id for name in SEATED_BODIES}
     deepest = []
     for row in qpos[::STRIDE]:
@@ -98,8 +131,8 @@ def lowered(model: mujoco.MjModel, qpos: Floats, seat: tuple[float, float, float
         depth = 0.0
         for contact in data.contact[: data.ncon]:
             bodies = {int(model.geom_bodyid[contact.geom1]), int(model.geom_bodyid[contact.geom2])}
-            if block in bodies and bodies & seated:
+            if bodies & blocks and bodies & seated:
                 depth = max(depth, -float(contact.dist))
         deepest.append(depth)
     down = max(float(np.percentile(deepest, 95)) - ALLOWED_M, 0.0)
-    return (seat[0], seat[1], seat[2] - down, seat[3])
+    return (seat[0], seat[1], seat[2] - down, *seat[3:])

@@ -222,7 +222,7 @@ class Mirror:
         self._swap = torch.tensor(swap, device=device)
         self._sign = torch.tensor(sign, device=device)
         self._flip = torch.tensor([1.0, -1.0, 1.0], device=device)
-        self._seat_flip = torch.tensor([1.0, -1.0, 1.0, -1.0], device=device)
+        self._seat_flip = torch.tensor([1.0, -1.0, 1.0, -1.0, 1.0], device=device)
         self.joints = torch.tensor([human.skeleton.index(other(n)) for n in names], device=device)
 
     def hinge(self, values: Tensor) -> Tensor:
@@ -251,5 +251,5 @@ class Mirror:
         return torch.where(which[:, None], self.hinge(values), values)
 
     def some_seats(self, seat: Tensor, which: Tensor) -> Tensor:
-        """Seats (B, 4), centre of the top and heading, mirrored where `which` (B,) is true."""
+        """Seats (B, 5), as `training.seats.NO_SEAT` has them, mirrored where `which` (B,) is true."""
         return torch.where(which[:, None], seat * self._seat_flip, seat)

@@ -161,7 +161,7 @@ class Learner:
         return State.of(replay.qpos[index], replay.qvel[index])
 
     def seats_at(self, replay: Replay, places: Places) -> Tensor:
-        """(N, 4) seats of the clips that are followed at places of the ring."""
+        """(N, 5) seats of the clips that are followed at places of the ring."""
         return self.references.seat[self._tensor(replay.clip[places.later(0)])]
 
     def heights_of(self, bodies: Bodies, seat: Tensor) -> Tensor:

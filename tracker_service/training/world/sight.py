@@ -13,7 +13,7 @@ from torch import Tensor
 
 from shared.plugins.interfaces import GROUND_GRID_M
 from tracker_service.policy.observations import FEEDFORWARD_LIMIT_RAD
-from tracker_service.training.seats import SEAT_SIZE_M
+from tracker_service.training.seats import BACK_SIZE_M, EDGE_M, SEAT_SIZE_M, SOFA_SIZE_M
 from tracker_service.training.world.body import Bodies, State, heading_frame, into, small_matmul
 
 
@@ -105,7 +105,7 @@ def still_tracked(distance: Tensor, stop_mean_m: float, stop_max_m: float, slack
 
 @torch.no_grad()
 def support_heights(bodies: Bodies, seat: Tensor, feet: tuple[int, int]) -> Tensor:
-    """(B, HEIGHTS) heights of seats (B, 4) at the points of `training.seats.height_points`."""
+    """(B, HEIGHTS) heights of seats (B, 5) at the points of `training.seats.height_points`."""
     pos = bodies.pos_w_m
     forward = bodies.rot_w[:, 0, :2, 0]
     ahead = forward / forward.norm(dim=-1, keepdim=True).clamp(min=1e-6)
@@ -114,8 +114,11 @@ def support_heights(bodies: Bodies, seat: Tensor, feet: tuple[int, int]) -> Tens
     grid = [root + a * ahead + b * left for a in GROUND_GRID_M for b in GROUND_GRID_M]
     points = torch.stack([*grid, pos[:, feet[0], :2], pos[:, feet[1], :2], root], 1)
     offset = points - seat[:, None, :2]
-    c, s = seat[:, 3:].cos(), seat[:, 3:].sin()
-    along, across = c * offset[..., 0] + s * offset[..., 1], c * offset[..., 1] - s * offset[..., 0]
-    over = (along.abs() <= SEAT_SIZE_M[0] / 2) & (across.abs() <= SEAT_SIZE_M[1] / 2)
-    top = seat[:, 2:3]
-    return torch.where(over & (top > 0) & (top < pos[:, :1, 2]), top, torch.zeros_like(along))
+    c, s = seat[:, 3:4].cos(), seat[:, 3:4].sin()
+    behind = EDGE_M - (c * offset[..., 0] + s * offset[..., 1])
+    across = (c * offset[..., 1] - s * offset[..., 0]).abs()
+    sofa, top, pelvis = seat[:, 4:] > 0, seat[:, 2:3], pos[:, :1, 2]
+    deep, wide = (torch.where(sofa, SOFA_SIZE_M[i], SEAT_SIZE_M[i]) for i in range(2))
+    over = (behind >= 0) & (behind <= deep) & (across <= wide / 2) & (top > 0)
+    back = over & sofa & (behind >= deep - BACK_SIZE_M[0]) & (top + BACK_SIZE_M[2] < pelvis)
+    return torch.where(back, top + BACK_SIZE_M[2], torch.where(over & (top < pelvis), top, torch.zeros_like(behind)))
