@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -244,7 +245,7 @@ class CharacterLoop:
         request = await self._request(spec, goal, now_tick, start_tick)
         try:
             with traced(self.trace_id):
-                plan = part = await self._planned(request)
+                plan = part = await self._best(request, goal)
                 for _ in range(self.settings.chained_plans - 1):
                     request = following(request, part, plan_seed(request.seed, 1))
                     part = await self._planned(request)
@@ -260,6 +261,15 @@ class CharacterLoop:
             return plan
         own = self._build.from_canonical(plan.positions_w_m)
         return plan.model_copy(update={"positions_w_m": own.astype("<f4"), "skeleton": self._build.skeleton_id})
+
+    async def _best(self, request: PlanRequest, goal: PlanGoal) -> Plan:
+        """The plan for a request, or of several with other seeds the one that the goal finds best."""
+        worth = goal.worth
+        if worth is None or goal.candidates < 2:
+            return await self._planned(request)
+        seeds = [request.seed, *(plan_seed(request.seed, number) for number in range(1, goal.candidates))]
+        plans = await asyncio.gather(*(self._planned(request.model_copy(update={"seed": seed})) for seed in seeds))
+        return max(plans, key=lambda plan: worth(self._build.from_canonical(plan.positions_w_m), plan.fps))
 
     async def _planned(self, request: PlanRequest) -> Plan:
         plan = await self._services.planner.ask(Plan, request, self.character_id, self.settings.plan_timeout_s)

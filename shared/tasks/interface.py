@@ -6,7 +6,7 @@ It never talks to a service, so the same task runs in episodes, in evaluation an
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
@@ -86,6 +86,8 @@ class PlanGoal:
         planner: plug-in to ask, where the service has it; None, or one that it lacks: the character's own.
         hold_ticks: the plan is performed at least so long before the next one, where the loop would plan oftener: a
             motion that must not be begun anew again and again.
+        candidates: so many plans are asked for, with seeds of their own, and the one of most `worth` is performed.
+        worth: of (T, 22, 3) positions in the character's own world and their rate; the first plan where it is None.
     """
 
     text: str | None = None
@@ -102,6 +104,8 @@ class PlanGoal:
     may_be_low: bool | None = None
     planner: str | None = None
     hold_ticks: int = 0
+    candidates: int = 1
+    worth: Callable[[npt.NDArray[np.float64], float], float] | None = None
 
     def scaled(self, factor: float) -> PlanGoal:
         """The same in a world whose lengths are `factor` times as large: places, speeds and radii are, angles and times

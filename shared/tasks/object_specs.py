@@ -21,8 +21,9 @@ class StrikeSpec(BaseTaskSpec):
         mark: what to hit; it is on an object.
         height_m: hit at this height; None: at the mark's own.
         from_m, to_m, stand_m: a blow starts between these distances of pelvis and object over the floor; a body
-            elsewhere goes to `stand_m` first. A blow from farther away does not get there in one plan.
-        blow_s: least time from the start of a blow to its landing.
+            elsewhere goes to `stand_m` first. None: as suits the limb. A step that is part of a blow would put a foot
+            against the object before the fist is there.
+        blow_s: time that the planner is given from the start of a blow to its landing; None: as suits the limb.
     """
 
     type: Literal["strike"] = "strike"
@@ -30,10 +31,10 @@ class StrikeSpec(BaseTaskSpec):
     mark: Name = "bag_centre"
     height_m: Annotated[FiniteFloat, Field(ge=0, le=3)] | None = None
     text: Text | None = None
-    from_m: Metres = 0.65
-    to_m: Metres = 1.0
-    stand_m: Metres = 0.85
-    blow_s: Annotated[FiniteFloat, Field(ge=0.4, le=2)] = 1.2
+    from_m: Metres | None = None
+    to_m: Metres | None = None
+    stand_m: Metres | None = None
+    blow_s: Annotated[FiniteFloat, Field(ge=0.4, le=2)] | None = None
     time_limit_s: TimeLimit = 15.0
     guidance: Guidance | None = None
 
@@ -43,10 +44,8 @@ class StrikeSpec(BaseTaskSpec):
         if self.text is not None:
             return self.text
         side, end = self.limb.split("_")
-        if end == "hand":
-            return f"a person is punching with the {side} hand."
-        # Not the release's "performing a high kick": our planner has learnt other words, and takes that for a step.
-        return f"a person kicks with the {side} foot."
+        # Words that our planner has learnt: of those of the release it makes a step, or a blow half as far.
+        return f"strike with the {side} hand" if end == "hand" else f"a person kicks with the {side} foot."
 
     def check(self, scene: Scene | None) -> None:
         """The mark is there, on an object."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass
+from functools import partial
 from math import atan2, cos, pi, sin
 
 import numpy as np
@@ -11,17 +12,17 @@ import numpy.typing as npt
 
 from shared.errors import ConflictError
 from shared.motion.rotations import wrap_angle
-from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import TICK_HZ, HeadingTarget, JointTarget
 from shared.scenes.placing import pose_of, top_m
 from shared.tasks import object_rules
-from shared.tasks.approach import stepped_target, turn_on_the_spot
+from shared.tasks.approach import TRAJ, turn_on_the_spot
 from shared.tasks.builtin import HaltTask
 from shared.tasks.interface import BodyView, PlanGoal, Status, Task, Trace, Verdict
 from shared.tasks.object_specs import Limb, StrikeSpec
 from shared.tasks.places import MarkedObject, marked_object
 from shared.tasks.specs import HaltSpec
-from shared.tasks.walking import Walk, step_back
+from shared.tasks.touching import Upright, worth_of_blow
+from shared.tasks.walking import Walk, step_to
 
 Array = npt.NDArray[np.float64]
 
@@ -29,31 +30,60 @@ JOINTS: dict[Limb, str] = {
     "left_hand": "left_wrist", "right_hand": "right_wrist", "left_foot": "left_foot", "right_foot": "right_foot",
 }  # fmt: skip
 """What is sent to the target."""
-STEP_M = 1.3
-STEP_MPS = 1.0
-REACH_M = 0.8
-"""From the pelvis a hand or foot comes so far without a step."""
 HAND_M = 1.3
 """A fist lands so high where the object is tall enough: the same blow topples more the higher it lands."""
-THROUGH_M = {"hand": 0.15, "foot": 0.05}
-"""The limb is sent so far beyond the mark: it is to go through the object, not to stop at it."""
-PUSH_M = 0.9
-PUSH_S = 1.6
-PUSH_ARRIVES_S = 1.0
-"""After the blow the body goes on into the object for a while, a hand so far beyond where the mark was."""
-PUSH_TEXT = "a person steps forward and punches."
+
+
+@dataclass(frozen=True)
+class Range:
+    """From where a limb strikes: distances over the floor of pelvis and object, metres, and seconds to the landing.
+
+    Attributes:
+        from_m, to_m, stand_m, blow_s: as in StrikeSpec.
+        through_m: the limb is sent so far beyond the mark: it is to go through the object, not to stop at it.
+        behind_m: the pelvis is sent to so far before the mark.
+    """
+
+    from_m: float
+    to_m: float
+    stand_m: float
+    blow_s: float
+    through_m: float
+    behind_m: float
+
+
+RANGES = {"hand": Range(0.52, 1.0, 0.8, 0.8, 0.1, 0.5), "foot": Range(0.75, 1.3, 1.0, 0.8, 0.05, 0.55)}
+"""From nearer an arm or a leg has no way to go; from farther a fist comes after the foot that steps."""
+CANDIDATES = 12
+"""Of so many plans of a blow one is chosen: in most a foot or a hip is at the object before the limb is."""
+TIPS: dict[Limb, tuple[str, ...]] = {
+    "left_hand": ("left_wrist",), "right_hand": ("right_wrist",),
+    "left_foot": ("left_ankle", "left_foot"), "right_foot": ("right_ankle", "right_foot"),
+}  # fmt: skip
+"""What should be there first; an elbow or a knee belongs to the upper part of its limb too."""
+PUSH_M, PUSH_MPS = 0.6, 0.7
+PUSH_S = 2.0
+PUSH_TEXT = "a person is walking forward."
+ARM_M = 0.45
+"""After the blow the body walks on into the object, to so far beyond where it was, a hand ahead by as much."""
 TOUCHED_M, TOUCHED_RAD = 0.015, 0.02
 """An object that has moved or leans so much has been hit."""
 TOP_ROOM_M = 0.3
 LEAST_TICKS = 12
 """A target is never asked for sooner (frame 8 of a plan)."""
-AFTER_TICKS, MOST_HELD_TICKS, PUSH_HOLD_TICKS = 3, 45, 24
-"""A blow's plan is performed until it has landed: made anew on the way, it begins with the wind-up again."""
-GOING_RAD = 0.45
+BLOW_HOLD_TICKS, PUSH_HOLD_TICKS = 42, 15
+"""A blow's plan is performed until it has landed, which is later than it was asked to: made anew on the way, it begins
+with the wind-up again."""
+GOING_RAD = 0.33
 """Beyond this lean, well past its edge, the bag goes down by itself."""
-LANDED_S = 0.8
+LANDED_S = 0.5
 """So long after a blow should have landed the next one is thought of."""
-TURN_FROM_RAD = 0.6
+STILL_MPS = 0.3
+TURN_FROM_RAD = 0.5
+WALK_FROM_M = 0.36
+"""Farther than this from where it should stand it walks; nearer it takes a step."""
+LEAST_STEP_M = 0.28
+"""Shorter steps than this are asked for and not taken."""
 ROOM_M = 0.75
 """An object that is set up again stands at least so far from the body."""
 
@@ -78,7 +108,9 @@ class StrikeTask(Task):
         self._blow_tick, self._felt = 0, False
         self._stood, self._way = np.zeros(3), np.zeros(2)
         self._blows = 0
-        self._back = False
+        self._seen: tuple[int, Array] | None = None
+        self._walking = False
+        self._range = RANGES[spec.limb.split("_")[1]]
 
     @property
     def label(self) -> str:
@@ -100,17 +132,19 @@ class StrikeTask(Task):
         place = pose_of(body).astype(np.float64)
         if float(np.linalg.norm(place[:2] - view.pelvis_xy_m)) < ROOM_M * view.scale:
             ahead = np.array([cos(view.heading_rad), sin(view.heading_rad)])
-            place[:2] = view.pelvis_xy_m + self._spec.stand_m * view.scale * ahead
+            place[:2] = view.pelvis_xy_m + self._told("stand_m") * view.scale * ahead
         return {bag.object: place}
 
     def start(self, view: BodyView) -> None:
         """Find what to hit; raises InvalidInputError where the scene has no such mark."""
         self._bag = marked_object(view, self._spec.mark)
         self._stand.start(view)
-        self._lands_tick, self._hit_tick, self._blows, self._back = None, None, 0, False
+        self._lands_tick, self._hit_tick, self._blows = None, None, 0
+        self._seen, self._walking = None, False
 
     def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
         """To the bag, back from it, the blow whose arrival tick counts down, or through it; standing once it goes."""
+        speed = self._speed(view)
         spec, bag = self._spec, self._known()
         pose = view.objects.get(bag.object)
         if pose is not None and float(object_rules.tilt_rad(pose)) >= GOING_RAD:
@@ -126,21 +160,41 @@ class StrikeTask(Task):
             self._lands_tick = self._hit_tick = None
         away = place[:2] - view.pelvis_xy_m
         distance = float(np.linalg.norm(away)) / view.scale
+        way = away / max(float(np.linalg.norm(away)), 1e-6)
         bearing = float(wrap_angle(atan2(away[1], away[0]) - view.heading_rad))
-        self._back = distance < (0.9 * spec.stand_m if self._back else spec.from_m)
-        if self._back:
-            return step_back(view, place[:2], spec.stand_m * view.scale, plan_tick, spec.guidance)
-        if distance > spec.to_m:
-            before = place[:2] - away / np.linalg.norm(away) * spec.stand_m * view.scale
-            return self._walk.goal(view, before, plan_tick)
+        stand_m, near_m, far_m = (self._told(name) for name in ("stand_m", "from_m", "to_m"))
+        if distance - stand_m > WALK_FROM_M:
+            self._walking = True
+        elif speed < STILL_MPS:
+            self._walking = False
+        if self._walking:
+            return self._walk.goal(view, place[:2] - way * stand_m * view.scale, plan_tick)
+        if speed > STILL_MPS:
+            return self._stand.goal(view, plan_tick)
+        if not near_m <= distance <= far_m and abs(bearing) <= TURN_FROM_RAD:
+            ahead_m = distance - stand_m
+            gone_m = max(ahead_m, LEAST_STEP_M) if distance > far_m else min(ahead_m, -LEAST_STEP_M)
+            spot = view.pelvis_xy_m + way * gone_m * view.scale
+            return step_to(view, spot, atan2(way[1], way[0]), plan_tick, spec.guidance)
         if abs(bearing) > TURN_FROM_RAD:
             return turn_on_the_spot(view, plan_tick, bearing, spec.guidance)
-        seconds = min(spec.blow_s + max(0.0, distance - REACH_M) / STEP_MPS, 2.0)
-        self._lands_tick, self._hit_tick = plan_tick + round(seconds * TICK_HZ), None
+        self._lands_tick, self._hit_tick = plan_tick + round(self._told("blow_s") * TICK_HZ), None
         self._blow_tick, self._felt = plan_tick, False
-        self._stood, self._way = place, away / np.linalg.norm(away)
+        self._stood, self._way = place, way
         self._blows += 1
         return self._blow(view, plan_tick)
+
+    def _speed(self, view: BodyView) -> float:
+        now = (view.tick, view.pelvis_xy_m.copy())
+        before, self._seen = self._seen, now
+        if before is None or before[0] == now[0]:
+            return 0.0
+        return float(np.linalg.norm(now[1] - before[1])) * TICK_HZ / (now[0] - before[0])
+
+    def _told(self, name: str) -> float:
+        """A distance or time of the spec, or what suits the limb."""
+        own = getattr(self._spec, name)
+        return float(getattr(self._range, name) if own is None else own)
 
     def _was_hit(self, place: Array, pose: Array | None) -> bool:
         """Felt in the limb, or seen: a heavy object that a kick meets low does not move."""
@@ -166,34 +220,52 @@ class StrikeTask(Task):
         """The limb through the mark at the tick that was set when the blow began."""
         assert self._lands_tick is not None
         limb, lands = self._spec.limb, max(self._lands_tick, plan_tick + 1)
-        end = limb.split("_")[1]
-        goal = self._through(self._height_m(view.scale, end == "hand"), THROUGH_M[end] * view.scale)
-        told = self._limb_to(view, goal, JOINTS[limb], lands, self._spec.prompt, plan_tick)
-        return replace(told, hold_ticks=min(lands - plan_tick + AFTER_TICKS, MOST_HELD_TICKS))
+        hand, own = limb.endswith("hand"), self._range
+        x, y, z = (float(v) for v in self._through(self._height_m(view.scale, hand), own.through_m * view.scale))
+        rx, ry, _ = (float(v) for v in self._through(0.0, -own.behind_m * view.scale))
+        bag = self._known()
+        body = bag.scene.body(bag.object)
+        solid = None if body is None else Upright.of(body, self._stood[:2])
+        return PlanGoal(
+            text=self._spec.prompt,
+            targets=(
+                JointTarget(joint=JOINTS[limb], position_w_m=(x, y, z), arrival_tick=lands),
+                JointTarget(joint=TRAJ, position_w_m=(rx, ry, 0.0), arrival_tick=lands),
+            ),
+            heading=self._facing(lands),
+            # Told twice the planner's limb gets farther than told either way.
+            keyframe_ticks=(lands,),
+            keyframe_joints=((JOINTS[limb],),),
+            keyframe_positions_w_m=(((x, y, z),),),
+            guidance=self._spec.guidance,
+            hold_ticks=BLOW_HOLD_TICKS,
+            candidates=CANDIDATES,
+            worth=None if solid is None else partial(
+                worth_of_blow, scale=view.scale, solid=solid, limb=TIPS[limb]
+            ),
+        )  # fmt: skip
 
     def _push(self, view: BodyView, plan_tick: int) -> PlanGoal:
-        """On into what was hit, a hand ahead: the one that hit it, or that of the same side as the foot."""
-        assert self._hit_tick is not None
+        """Walk on into what was hit, a hand ahead: the one that hit it, or that of the same side as the foot."""
+        x, y, _ = (float(v) for v in self._through(0.0, PUSH_M * view.scale))
+        far_m = float(np.linalg.norm(np.array([x, y]) - view.pelvis_xy_m)) / view.scale
+        arrives = plan_tick + min(max(round(far_m / PUSH_MPS * TICK_HZ), LEAST_TICKS), 2 * TICK_HZ)
+        hand = self._through(self._height_m(view.scale, hand=True), (PUSH_M + ARM_M) * view.scale)
         joint = f"{self._spec.limb.split('_')[0]}_wrist"
-        goal = self._through(self._height_m(view.scale, hand=True), PUSH_M * view.scale)
-        arrives = max(self._hit_tick + round(PUSH_ARRIVES_S * TICK_HZ), plan_tick + LEAST_TICKS)
-        told = self._limb_to(view, goal, joint, arrives, PUSH_TEXT, plan_tick)
-        return replace(told, hold_ticks=PUSH_HOLD_TICKS)
-
-    def _limb_to(self, view: BodyView, goal: Array, joint: str, lands_tick: int, text: str, plan_tick: int) -> PlanGoal:
-        """A joint to a point at a tick, by way of a nearer point if it is far."""
-        here = view.pos_w_m[CANONICAL.index(joint)]
-        point = stepped_target(here, goal, STEP_M * view.scale)
-        whole = float(np.linalg.norm(goal - here))
-        share = float(np.linalg.norm(point - here)) / whole if whole > 1e-6 else 1.0
-        arrival = plan_tick + max(1, round((lands_tick - plan_tick) * share))
-        x, y, z = (float(v) for v in point)
+        hx, hy, hz = (float(v) for v in hand)
         return PlanGoal(
-            text=text,
-            targets=(JointTarget(joint=joint, position_w_m=(x, y, z), arrival_tick=arrival),),
-            heading=HeadingTarget(heading_rad=atan2(self._way[1], self._way[0]), arrival_tick=arrival),
+            text=PUSH_TEXT,
+            targets=(
+                JointTarget(joint=TRAJ, position_w_m=(x, y, 0.0), arrival_tick=arrives),
+                JointTarget(joint=joint, position_w_m=(hx, hy, hz), arrival_tick=arrives),
+            ),
+            heading=self._facing(arrives),
             guidance=self._spec.guidance,
+            hold_ticks=PUSH_HOLD_TICKS,
         )
+
+    def _facing(self, arrival_tick: int) -> HeadingTarget:
+        return HeadingTarget(heading_rad=atan2(self._way[1], self._way[0]), arrival_tick=arrival_tick)
 
     def status(self, trace: Trace) -> Status:
         """Done when the bag is down and the limb was first; failed when it is down by anything else."""

@@ -1,8 +1,6 @@
-"""What tasks with several parts are put together from: walking somewhere and stepping back."""
+"""What tasks with several parts are put together from: walking somewhere and stepping to a place near by."""
 
 from __future__ import annotations
-
-from math import atan2
 
 import numpy as np
 import numpy.typing as npt
@@ -15,10 +13,10 @@ from shared.tasks.specs import ReachSpec
 
 Array = npt.NDArray[np.float64]
 SAME_PLACE_M = 0.1
-BACK_MPS = 0.6
-BACK_HOLD_TICKS = 24
-"""Planned anew every half second from the same stand, a step back is begun again and again and hardly made."""
-BACK_TEXT = "a person steps backward."
+STEP_MPS, LEAST_STEP_S = 0.6, 1.0
+STEP_HOLD_TICKS = 30
+"""Planned anew every half second from the same stand, a step is begun again and again and hardly made."""
+FORWARD_TEXT, BACK_TEXT = "a person steps forward.", "a person steps backward."
 
 
 class Walk:
@@ -45,17 +43,17 @@ class Walk:
         return self._reach.goal(view, plan_tick)
 
 
-def step_back(view: BodyView, from_xy_m: Array, distance_m: float, plan_tick: int, guidance: float | None) -> PlanGoal:
-    """Go back until it is `distance_m` from a place, facing it."""
-    away = view.pelvis_xy_m - from_xy_m
-    now = float(np.linalg.norm(away))
-    out = away / now if now > 1e-6 else -np.array([np.cos(view.heading_rad), np.sin(view.heading_rad)])
-    x, y = (float(v) for v in from_xy_m + out * distance_m)
-    arrival = plan_tick + round(min(max((distance_m - now) / BACK_MPS, 0.6), 2.0) * TICK_HZ)
+def step_to(view: BodyView, place_xy_m: Array, facing_rad: float, plan_tick: int, guidance: float | None) -> PlanGoal:
+    """One step, ahead or back, to (2,) a place on the floor near by, facing a way."""
+    away = place_xy_m - view.pelvis_xy_m
+    ahead = float(away @ np.array([np.cos(facing_rad), np.sin(facing_rad)])) >= 0
+    seconds = float(np.linalg.norm(away)) / (STEP_MPS * view.scale)
+    arrival = plan_tick + round(min(max(seconds, LEAST_STEP_S), 2.0) * TICK_HZ)
+    x, y = (float(v) for v in place_xy_m)
     return PlanGoal(
-        text=BACK_TEXT,
+        text=FORWARD_TEXT if ahead else BACK_TEXT,
         targets=(JointTarget(joint=TRAJ, position_w_m=(x, y, 0.0), arrival_tick=arrival),),
-        heading=HeadingTarget(heading_rad=atan2(-out[1], -out[0]), arrival_tick=arrival),
+        heading=HeadingTarget(heading_rad=facing_rad, arrival_tick=arrival),
         guidance=guidance,
-        hold_ticks=BACK_HOLD_TICKS,
+        hold_ticks=STEP_HOLD_TICKS,
     )

@@ -9,8 +9,9 @@ import numpy as np
 
 from orchestrator.core.services import Services, connect
 from orchestrator.core.supervise import Stack
-from orchestrator.evaluation.bank import LEAST_TICKS, pieces, record_bank
+from orchestrator.evaluation.bank import LEAST_TICKS, pieces, record_bank, record_tasks, seat_of
 from shared.motion.ik import standing_clip
+from shared.scenes.files import load_scene
 from tests.orchestrator.support import light
 
 
@@ -51,3 +52,42 @@ def test_a_bank_holds_the_references_of_the_loop(tmp_path: Path) -> None:
         assert len(positions) >= 350
         # The planner stands and the tracker moves without physics: the reference stands all the time, on soft knees.
         assert np.abs(positions[..., 2].max(axis=1) - height_m).max() < 0.03
+
+
+def test_a_bank_of_tasks_holds_what_was_planned_and_where_the_seat_is(tmp_path: Path) -> None:
+    stack = Stack(light(tmp_path), lambda line: None)
+
+    async def run() -> dict[str, object]:
+        planner, tracker = stack.start_services()[:2]
+        services = Services(await connect(planner, "planner", "stand"), await connect(tracker, "tracker", "kinematic"))
+        try:
+            return await record_tasks(services, tmp_path / "bank", ["sit", "halt"], 2, seed=3)
+        finally:
+            await services.close()
+
+    try:
+        result = asyncio.run(run())
+    finally:
+        stack.stop()
+    files = sorted(path.name for path in (tmp_path / "bank").glob("*.npz"))
+    assert files == ["halt_3_0000_0.npz", "halt_3_0001_0.npz", "sit_3_0000_0.npz", "sit_3_0001_0.npz"]
+    assert (result["pieces"], result["episodes"]) == (4, 4)
+    for name in files:
+        with np.load(tmp_path / "bank" / name) as data:
+            assert ("seat" in data) is name.startswith("sit")
+            if "seat" in data:
+                _, _, top, _, sofa = data["seat"]
+                assert sofa == 1.0
+                assert 0.15 < top < 0.65
+
+
+def test_the_place_to_sit_is_behind_the_edge_where_the_body_is_lowest() -> None:
+    (sofa,) = (scene := load_scene("sofa")).bodies
+    scene = scene.model_copy(update={"bodies": (sofa.model_copy(update={"random": None}),)})
+    body = np.repeat(standing_clip(3, 30).positions_w_m[:1], 3, axis=0)
+    body[1] += [0.0, 0.7, -0.4]
+    seat = seat_of(scene, body)
+    assert seat is not None
+    # The sofa stands at (-1.4, 0) and looks along X: its edge is at -1.4 + 0.1 + 0.33.
+    np.testing.assert_allclose(seat, [-0.97 - 0.2, 0.7, 0.344, 0.0, 1.0], atol=1e-6)
+    assert seat_of(load_scene("flat"), body) is None

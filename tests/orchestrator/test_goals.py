@@ -13,7 +13,7 @@ from orchestrator.client import Client
 from orchestrator.core.asking import keyframe_arrays
 from orchestrator.core.command import Avoid, Command, CommandGoal, Keyframe, Target
 from orchestrator.core.drivers import LockstepDriver
-from orchestrator.core.loop import CharacterLoop
+from orchestrator.core.loop import CharacterLoop, plan_seed
 from orchestrator.core.services import Services, connect
 from orchestrator.core.settings import LOCKSTEP
 from orchestrator.core.supervise import Stack
@@ -23,7 +23,7 @@ from shared.plugins.interfaces import PlannerSpec
 from shared.protocol.messages import CreateCharacter, Plan, PlanRequest, StateFrame
 from shared.tasks.approach import Approach
 from shared.tasks.builtin import ReachTask
-from shared.tasks.interface import BodyView, Obstacle
+from shared.tasks.interface import BodyView, Obstacle, PlanGoal
 from shared.tasks.obey import asks_low
 from shared.tasks.specs import ReachSpec, ReachTuning
 from tests.orchestrator.test_planner_specs import hosting
@@ -52,6 +52,36 @@ class Lying:
             positions_w_m=clip.positions_w_m,
             rotations_6d=clip.rotations_6d,
         )
+
+
+class Wilful(Lying):
+    """A planner whose body goes somewhere else for every seed, and that remembers what it was asked."""
+
+    def __init__(self) -> None:
+        self.asked: list[int] = []
+
+    def _plan(self, request: PlanRequest) -> Plan:
+        self.asked.append(request.seed)
+        still = np.repeat(request.prefix_positions_w_m[-1:].astype(np.float64), request.horizon_frames, axis=0)
+        still[:, :, 0] += request.seed % 97 / 1000
+        clip = clip_from_positions(still, 20, rebuild=True)
+        return Plan(
+            planner="own",
+            start_tick=request.start_tick,
+            positions_w_m=clip.positions_w_m,
+            rotations_6d=clip.rotations_6d,
+        )
+
+
+async def chosen(planner: str, tracker: str, goal: PlanGoal) -> Plan:
+    """The first plan for a goal."""
+    services = Services(await connect(planner, "planner"), await connect(tracker, "tracker"))
+    loop = CharacterLoop(str(uuid.uuid4()), services, LOCKSTEP, seed=1)
+    try:
+        state = await loop.ask_tracker(StateFrame, CreateCharacter())
+        return await loop.make_plan(goal, state.tick, state.tick)
+    finally:
+        await services.close()
 
 
 async def ends_fallen(planner: str, tracker: str, text: str) -> bool:
@@ -165,6 +195,26 @@ def test_the_tracker_is_told_that_being_low_is_asked_for(text: str, low: bool) -
         hosting(Lying()) as planner,
     ):
         assert asyncio.run(ends_fallen(planner.endpoint, tracker.endpoint, text)) is not low
+
+
+def test_of_several_plans_the_one_that_the_goal_finds_best_is_taken() -> None:
+    def ahead_m(positions_w_m: np.ndarray, fps: float) -> float:
+        assert fps == 20
+        return float(positions_w_m[-1, 0, 0])
+
+    wilful, alone = Wilful(), Wilful()
+    with TrackerService(TrackerServiceSettings(endpoint="tcp://127.0.0.1:0", trackers=("kinematic",))) as tracker:
+        with hosting(wilful) as planner:
+            best = asyncio.run(chosen(planner.endpoint, tracker.endpoint, PlanGoal(candidates=5, worth=ahead_m)))
+        with hosting(alone) as planner:
+            first = asyncio.run(chosen(planner.endpoint, tracker.endpoint, PlanGoal(candidates=5)))
+    assert len(set(wilful.asked)) == 5
+    assert alone.asked == [plan_seed(1, 0)]
+    assert plan_seed(1, 0) in wilful.asked  # what a goal without candidates gets is among them
+    farthest = max(seed % 97 for seed in wilful.asked) / 1000
+    assert farthest > plan_seed(1, 0) % 97 / 1000, "choose another seed: the first is the best"
+    assert best.positions_w_m[-1, 0, 0] == pytest.approx(farthest, abs=2e-3)
+    assert first.positions_w_m[-1, 0, 0] == pytest.approx(plan_seed(1, 0) % 97 / 1000, abs=2e-3)
 
 
 def test_what_the_planner_says_comes_back_with_the_plan(stack: Stack) -> None:
