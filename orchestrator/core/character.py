@@ -61,7 +61,7 @@ class CharacterSpec(BaseModel):
     pacing: Pacing = "realtime"
     seed: Seed = 0
     loop: LoopSettings | None = None
-    on_fall: OnFall = "stay"
+    on_fall: OnFall = "get_up"
 
 
 class CharacterSession:
@@ -124,9 +124,15 @@ class CharacterSession:
 
     def _goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
         """What the newest command asks for: it may have come while a cycle was already under way."""
-        if self.spec.on_fall == "get_up" and self._down.update(view):
+        if self._on_fall == "get_up" and self._down.update(view):
             return get_up_goal()
         return self._source(view, plan_tick)
+
+    @property
+    def _on_fall(self) -> OnFall:
+        """As it was made, but nobody is told to get up who cannot."""
+        wanted = self.spec.on_fall
+        return "reset" if wanted == "get_up" and not self._session.gets_up else wanted
 
     def set_command(self, command: Command) -> int:
         """Take a new command; returns the tick at which it was given. Raises for a target out of reach."""
@@ -274,11 +280,12 @@ class CharacterSession:
         was = self._was_down
         self._was_down = down = self._down.update(view_of(state))
         fell = down and not was
-        if fell and self.spec.on_fall == "reset":
+        on_fall = self._on_fall
+        if (fell and on_fall == "reset") or (on_fall == "get_up" and self._down.too_long(state.tick)):
             await self._session.reset()
             self._down.clear()
             self._was_down = False
-        elif down != was and self.spec.on_fall == "get_up":
+        elif down != was and on_fall == "get_up":
             self._session.replan_now()
             self.events.emit("getting_up" if fell else "stood_up", state.tick)
 

@@ -327,7 +327,7 @@ class EpisodeRunner:
         """After a fall, and again when that took too long."""
         if self.spec.on_fall == "stay":
             return Signal.STOOD_UP
-        if self.spec.on_fall == "get_up" and signal is Signal.FELL:
+        if self.spec.on_fall == "get_up" and signal is Signal.FELL and self.session.gets_up:
             self.events.emit("getting_up", self.tick)
             self.session.replan_now()
             return None

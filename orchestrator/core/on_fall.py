@@ -5,13 +5,17 @@ from __future__ import annotations
 from typing import Literal
 
 from shared.motion.skeleton import CANONICAL
+from shared.protocol.messages import TICK_HZ
 from shared.tasks.interface import RISE_PLANNER, BodyView, PlanGoal
 
 OnFall = Literal["stay", "reset", "get_up"]
 """`stay`: it lies until it is told otherwise. `reset`: it is put on its feet where it is. `get_up`: it gets up, by the
-planner `rise` where the planner service has it, else by what the character's own planner makes of the words."""
+planner `rise` where the planner service has it, else by what the character's own planner makes of the words; where its
+tracker cannot (`gets_up` of its declaration), or it takes too long, it is put on its feet."""
 
 GET_UP_TEXT = "a person gets up from the floor."
+GET_UP_S = 20.0
+"""Who lies after so long is put on the feet: time for two ways up and a half."""
 UP_SHARE = 0.85
 """Up is whose pelvis is at this share of its height in standing."""
 
@@ -27,17 +31,24 @@ class Down:
     A body on its knees has no fall any more, but whoever took it over there with other plans would drop it.
 
     Attributes:
-        is_so: as of the last state.
+        is_so: as of the last state. since_tick: of the fall, while it is so.
     """
 
     def __init__(self) -> None:
         self.is_so = False
+        self.since_tick = 0
 
     def update(self, view: BodyView) -> bool:
         """Take a new state; whether the body is down."""
         low = float(view.pos_w_m[0, 2]) < UP_SHARE * CANONICAL.root_height_m * view.scale
-        self.is_so = view.fallen or (self.is_so and low)
+        was, self.is_so = self.is_so, view.fallen or (self.is_so and low)
+        if not was:
+            self.since_tick = view.tick
         return self.is_so
+
+    def too_long(self, tick: int) -> bool:
+        """Whether it has been down for so long that it will hardly get up."""
+        return self.is_so and tick - self.since_tick > GET_UP_S * TICK_HZ
 
     def clear(self) -> None:
         """The body was put on its feet."""

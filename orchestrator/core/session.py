@@ -151,6 +151,11 @@ class Session:
         """Of the newest state; 0 before `start`."""
         return 0 if self._state is None else self._state.tick
 
+    @property
+    def gets_up(self) -> bool:
+        """Whether the character's tracker can follow a way up from the floor, as it declares."""
+        return bool(self.loop.home.slot.spec(self._choices.tracker).get("gets_up"))
+
     async def start(self) -> StateFrame:
         """Make it at the tracker."""
         try:

@@ -84,6 +84,7 @@ class TrackerSpec(BaseModel):
         characters: the characters of the registry that it drives; None for any.
         action_spaces: spaces of the action chunks it takes: `servo_targets` (radians, no decoding), and at most one
             other, whose rows the tracker's `decode` turns into servo targets with the present state at every tick.
+        gets_up: it can follow a way up from lying. Characters of others are put on their feet after a fall.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -92,6 +93,7 @@ class TrackerSpec(BaseModel):
     weights_sha256: str | None = None
     skeleton: str
     fps: float
+    gets_up: bool = False
     drives: Literal["pd_targets", "pose"] = "pd_targets"
     characters: tuple[str, ...] | None = ("human",)
     action_spaces: tuple[str, ...] = ()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from orchestrator.core.on_fall import Down, get_up_goal
@@ -39,3 +41,13 @@ def test_a_child_stands_lower() -> None:
 def test_getting_up_asks_for_its_own_planner_and_lying_is_still_a_fall() -> None:
     goal = get_up_goal()
     assert goal.planner == RISE_PLANNER and goal.may_be_low is False
+
+
+def test_who_lies_for_long_is_known() -> None:
+    down = Down()
+    down.update(replace(view(0.2, True), tick=100))
+    assert not down.too_long(100 + 600)
+    down.update(replace(view(0.2, True), tick=400))
+    assert down.too_long(100 + 601)
+    down.clear()
+    assert not down.too_long(5000)

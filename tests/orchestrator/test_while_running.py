@@ -80,11 +80,13 @@ def test_a_wrong_task_is_refused_and_changes_nothing(client: Client, http: httpx
     assert not any(event.type == "task_inserted" for event in episode.events())
 
 
-async def fall(planner: str, tracker: str, on_fall: str) -> tuple[list[str], list[str | None], bool, str | None]:
+async def fall(
+    planner: str, tracker: str, on_fall: str, plugin: str
+) -> tuple[list[str], list[str | None], bool, str | None]:
     """Events after a push, texts planned after it, whether it lies at the end, and the command in force then."""
-    services = Services(await connect(planner, "planner", "stand"), await connect(tracker, "tracker", "pd"))
+    services = Services(await connect(planner, "planner", "stand"), await connect(tracker, "tracker", plugin))
     spec = CharacterSpec.model_validate({"pacing": "lockstep", "on_fall": on_fall})
-    session = CharacterSession(f"falls-{on_fall}", spec, services, EventLog())
+    session = CharacterSession(f"falls-{on_fall}-{plugin}", spec, services, EventLog())
     try:
         await session.start()
         session.set_command(Command(text="walk"))
@@ -101,12 +103,17 @@ async def fall(planner: str, tracker: str, on_fall: str) -> tuple[list[str], lis
         await services.close()
 
 
-@pytest.mark.parametrize("on_fall", ["stay", "reset", "get_up"])
-def test_what_becomes_of_a_character_that_falls(stack: Stack, on_fall: str) -> None:
-    types, texts, lies, command = asyncio.run(fall(stack.planner.address, stack.tracker.address, on_fall))
+@pytest.mark.parametrize(
+    ("on_fall", "plugin", "then"),
+    [("stay", "pd", "stay"), ("reset", "pd", "reset"), ("get_up", "learned", "get_up"), ("get_up", "pd", "reset")],
+)
+def test_what_becomes_of_a_character_that_falls(stack: Stack, on_fall: str, plugin: str, then: str) -> None:
+    """Servos alone cannot get up: with them the body is put on its feet."""
+    addresses = stack.planner.address, stack.tracker.address
+    types, texts, lies, command = asyncio.run(fall(*addresses, on_fall, plugin))
     assert command == "walk", "the command goes on"
-    assert ("reset" in types) == (on_fall == "reset")
-    assert ("getting_up" in types) == (on_fall == "get_up")
-    assert (GET_UP_TEXT in texts) == (on_fall == "get_up")
+    assert ("reset" in types) == (then == "reset")
+    assert ("getting_up" in types) == (then == "get_up")
+    assert (GET_UP_TEXT in texts) == (then == "get_up")
     if on_fall == "stay":
         assert lies

@@ -17,7 +17,8 @@ from tracker_service.policy.learned import WEIGHTS
 from tracker_service.simulation.character_spec import character
 from tracker_service.simulation.humanoid import humanoid
 from tracker_service.training import falls as falls_module
-from tracker_service.training.falls import app, fall, falls, got_up, upright_references, ways_up
+from tracker_service.training.dataset import MotionInput
+from tracker_service.training.falls import app, fall, falls, got_up, off_m, upright_references, ways_up
 from tracker_service.training.policies import policy_of
 
 HUMAN = humanoid(character("human"))
@@ -59,6 +60,14 @@ def test_getting_up_needs_both_feet_half_a_second_and_to_stay_up() -> None:
     feet[:, 2] = False  # never on both feet
     height[190:, 3] = 0.9  # too late
     assert got_up(height, feet).tolist() == [True, False, False, False]
+
+
+def test_how_far_a_body_was_off_counts_from_the_tick_after_its_start() -> None:
+    way = MotionInput("way", "get_up", 1.0, np.arange(4.0)[:, None, None] * np.ones((4, 22, 3)))
+    did = way.positions_w_m[1:] + [0.3, 0.0, 0.4]
+    held = np.concatenate([did, np.full((5, 22, 3), 99.0)])  # what comes after the way is over does not count
+    assert off_m(did, way) == pytest.approx(0.5)
+    assert off_m(held, way) == pytest.approx(0.5)
 
 
 def test_what_is_recorded_for_rise_was_performed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -105,6 +105,7 @@ class LearnedTracker:
             fps=TICK_HZ,
             action_spaces=(SERVO_TARGETS,),
             characters=(self.card.character,),
+            gets_up=True,
         )
 
     def reset(self, character_ids: Sequence[str]) -> None:

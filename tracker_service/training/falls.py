@@ -162,6 +162,12 @@ def follow(
     return np.stack(did)
 
 
+def off_m(did_w_m: Floats, way: MotionInput) -> float:
+    """Mean distance of a body's joints (T, J, 3) from its way up, from the first tick after its start to its end."""
+    wanted = way.positions_w_m[1 : len(did_w_m) + 1]
+    return float(np.linalg.norm(did_w_m[: len(wanted)] - wanted, axis=-1).mean())
+
+
 def stands(human: Humanoid, did_w_m: Floats) -> npt.NDArray[np.bool_]:
     """(N,) who got up, of bodies that moved like this (T, N, J, 3); see `got_up`."""
     feet = [human.skeleton.index(n) for n in ("left_foot", "right_foot")]
@@ -262,22 +268,29 @@ def record(
     seed: int = 0,
     weights: Annotated[Path, typer.Option(help="policy that falls and gets up")] = WEIGHTS,
 ) -> None:
-    """Record get-ups that the policy performs, the library of the planner `rise`: at most `keep` of a facing."""
+    """Record get-ups that the policy performs, the library of the planner `rise`: at most `keep` of a facing.
+
+    Kept are those that went nearest to their way up: followed again, what was done with a delay is done with two.
+    """
     human = humanoid(HUMAN)
     settings, policy = policy_of(human, weights)
     out.mkdir(parents=True, exist_ok=True)
-    kept: dict[str, int] = {}
+    good: dict[str, list[tuple[float, Floats]]] = {}
     for batch in _batches(human, settings, policy, corpus, count, seed):
         did = follow(human, settings, policy, batch.qpos, batch.ways, seed)
-        for body in np.flatnonzero(stands(human, did)).tolist():
-            facing = str(_facing(human, batch.lying_w_m[body : body + 1])[0])
-            if kept.get(facing, 0) < keep:
-                kept[facing] = kept.get(facing, 0) + 1
-                name = f"{facing}_{kept[facing] - 1}"
-                motion = did[:, body].astype(np.float32)
-                np.savez_compressed(out / f"{name}.npz", positions_w_m=motion, fps=np.float64(TICK_HZ))
+        up, facing = stands(human, did), _facing(human, batch.lying_w_m)
+        for body in np.flatnonzero(up).tolist():
+            motion = did[:, body].astype(np.float32)
+            good.setdefault(str(facing[body]), []).append((off_m(motion, batch.ways[body]), motion))
+    kept: dict[str, list[float]] = {}
+    for facing_name, found in sorted(good.items()):
+        best = sorted(found, key=lambda each: each[0])[:keep]
+        kept[facing_name] = [round(off, 4) for off, _ in best]
+        for number, (_, motion) in enumerate(best):
+            path = out / f"{facing_name}_{number}.npz"
+            np.savez_compressed(path, positions_w_m=motion, fps=np.float64(TICK_HZ))
     policy_hash = hashlib.sha256(weights.read_bytes()).hexdigest()[:12]
-    card = {"weights": policy_hash, "falls": count, "seed": seed, "kept": kept}
+    card = {"weights": policy_hash, "falls": count, "seed": seed, "off_m": kept}
     (out / "card.json").write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
     typer.echo(json.dumps(card))
 
