@@ -280,7 +280,7 @@ def record(
         did = follow(human, settings, policy, batch.qpos, batch.ways, seed)
         up, facing = stands(human, did), _facing(human, batch.lying_w_m)
         for body in np.flatnonzero(up).tolist():
-            motion = did[:, body].astype(np.float32)
+            motion = did[:, body]
             good.setdefault(str(facing[body]), []).append((off_m(motion, batch.ways[body]), motion))
     kept: dict[str, list[float]] = {}
     for facing_name, found in sorted(good.items()):
@@ -288,7 +288,7 @@ def record(
         kept[facing_name] = [round(off, 4) for off, _ in best]
         for number, (_, motion) in enumerate(best):
             path = out / f"{facing_name}_{number}.npz"
-            np.savez_compressed(path, positions_w_m=motion, fps=np.float64(TICK_HZ))
+            np.savez_compressed(path, positions_w_m=motion.astype(np.float32), fps=np.float64(TICK_HZ))
     policy_hash = hashlib.sha256(weights.read_bytes()).hexdigest()[:12]
     card = {"weights": policy_hash, "falls": count, "seed": seed, "off_m": kept}
     (out / "card.json").write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
