@@ -20,12 +20,13 @@ from shared.protocol.messages import Pacing
 from shared.protocol.rates import TICK_HZ
 
 TASKS: list[dict[str, Any]] = [
-    {"type": "reach", "name": "walk to a point", "relative_m": [2.0, 0.6]},
-    {"type": "text", "name": "wave", "text": "a person waves with the right hand.", "duration_s": 5.0},
-    {"type": "reach", "name": "walk to a point behind", "relative_m": [-2.0, -0.3]},
-    {"type": "halt", "name": "stand still"},
+    {"type": "reach", "name": "walk towards the bag", "position_m": [1.0, 0.2]},
+    {"type": "strike", "name": "strike the bag", "limb": "right_hand", "retries": 2},
+    {"type": "sit", "name": "sit on the sofa", "retries": 2},
+    {"type": "get_up", "name": "get up", "retries": 1},
+    {"type": "text", "name": "wave", "text": "a person waves with the right hand.", "duration_s": 5.0, "retries": 1},
 ]
-EPISODE: dict[str, Any] = {"name": "demo", "tasks": TASKS}
+EPISODE: dict[str, Any] = {"name": "demo", "scene": "room", "tasks": TASKS}
 """What is shown unless another episode is asked for."""
 KEPT: tuple[Format, ...] = ("npz", "bvh", "glb")
 
