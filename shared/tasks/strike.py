@@ -61,11 +61,12 @@ TIPS: dict[Limb, tuple[str, ...]] = {
     "left_foot": ("left_ankle", "left_foot"), "right_foot": ("right_ankle", "right_foot"),
 }  # fmt: skip
 """What should be there first; an elbow or a knee belongs to the upper part of its limb too."""
-PUSH_M, PUSH_MPS = 0.6, 0.7
-PUSH_S = 2.0
+PUSH_M, PUSH_S = 0.6, 4.0
+PUSH_MPS, PUSH_MPS2, MOST_PUSH_MPS = 0.7, 0.15, 1.0
 PUSH_TEXT = "a person is walking forward."
 ARM_M = 0.45
-"""After the blow the body walks on into the object, to so far beyond where it was, a hand ahead by as much."""
+"""After the blow the body walks on into the object, to so far beyond where it was, a hand ahead: the
+longer it takes, the faster, but who walks at more than a metre a second falls with what falls."""
 TOUCHED_M, TOUCHED_RAD = 0.015, 0.02
 """An object that has moved or leans so much has been hit."""
 TOP_ROOM_M = 0.3
@@ -74,7 +75,7 @@ LEAST_TICKS = 12
 BLOW_HOLD_TICKS, PUSH_HOLD_TICKS = 42, 15
 """A blow's plan is performed until it has landed, which is later than it was asked to: made anew on the way, it begins
 with the wind-up again."""
-GOING_RAD = 0.33
+GOING_RAD = 0.30
 """Beyond this lean, well past its edge, the bag goes down by itself."""
 LANDED_S = 0.5
 """So long after a blow should have landed the next one is thought of."""
@@ -249,7 +250,9 @@ class StrikeTask(Task):
         """Walk on into what was hit, a hand ahead: the one that hit it, or that of the same side as the foot."""
         x, y, _ = (float(v) for v in self._through(0.0, PUSH_M * view.scale))
         far_m = float(np.linalg.norm(np.array([x, y]) - view.pelvis_xy_m)) / view.scale
-        arrives = plan_tick + min(max(round(far_m / PUSH_MPS * TICK_HZ), LEAST_TICKS), 2 * TICK_HZ)
+        since_s = (plan_tick - (self._hit_tick or plan_tick)) / TICK_HZ
+        mps = min(PUSH_MPS + PUSH_MPS2 * since_s, MOST_PUSH_MPS)
+        arrives = plan_tick + min(max(round(far_m / mps * TICK_HZ), LEAST_TICKS), 2 * TICK_HZ)
         hand = self._through(self._height_m(view.scale, hand=True), (PUSH_M + ARM_M) * view.scale)
         joint = f"{self._spec.limb.split('_')[0]}_wrist"
         hx, hy, hz = (float(v) for v in hand)
