@@ -19,12 +19,13 @@ from shared.tasks.interface import RISE_PLANNER, BodyView, PlanGoal, Posture, St
 from shared.tasks.object_specs import GetUpSpec, SitSpec
 from shared.tasks.places import MarkedObject, marked_object
 from shared.tasks.specs import HaltSpec, ReachTuning
-from shared.tasks.walking import Walk
+from shared.tasks.walking import STILL_MPS, Pace, Walk
 
 Array = npt.NDArray[np.float64]
 PELVIS = CANONICAL.index("pelvis")
-FRONT_M = 0.35
-"""Nearer than this to the place before the seat it turns round."""
+FRONT_M, AWAY_M = 0.35, 0.65
+"""Nearer than the first to the place before the seat it turns round, and goes there again from beyond the second: who
+turns strays."""
 FACING_RAD = 0.6
 FROM_EDGE_M = 0.25
 """So far behind the seat's edge the pelvis is put: a little more than in the motion that sits and rises are learnt
@@ -102,6 +103,8 @@ class SitTask(Task):
         self._seat: MarkedObject | None = None
         self._mass_kg = 0.0
         self._walk = Walk(spec.guidance)
+        self._pace = Pace()
+        self._there = False
         self._begun_tick: int | None = None
         self._aim: Array | None = None
         self._spot: Array | None = None
@@ -125,11 +128,13 @@ class SitTask(Task):
         """Find the seat; raises InvalidInputError where the scene has no such mark."""
         self._seat, self._mass_kg = marked_object(view, self._spec.mark), view.mass_kg
         self._begun_tick = self._aim = self._spot = None
+        self._there = False
+        self._pace.forget()
 
     def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
         """To the front, round, and down: the pelvis aimed above the seat's top, facing away from the seat; there it
         stays."""
-        spec, seat = self._spec, _known(self._seat)
+        spec, seat, speed = self._spec, _known(self._seat), self._pace.mps(view)
         place = seat.place(view)
         pelvis = view.pos_w_m[PELVIS]
         top = float(place.position_w_m[2]) + spec.above_m * view.scale
@@ -140,9 +145,14 @@ class SitTask(Task):
         if self._begun_tick is None and not on_it:
             front = front_of(seat, view)
             through = way_round(place, seat.half_size_m, view.pelvis_xy_m, front)
-            if float(np.linalg.norm(front - view.pelvis_xy_m)) > FRONT_M * view.scale:
+            self._there = float(np.linalg.norm(front - view.pelvis_xy_m)) <= view.scale * (
+                AWAY_M if self._there else FRONT_M
+            )
+            if not self._there:
                 return self._walk.goal(view, through, plan_tick)
             turn = float(wrap_angle(place.heading_rad - view.heading_rad))
+            if speed > STILL_MPS and abs(turn) > FACING_RAD:
+                return self._walk.goal(view, front, plan_tick)
             if abs(turn) > FACING_RAD:
                 return turn_on_the_spot(view, plan_tick, turn, spec.guidance)
         if self._begun_tick is None:

@@ -22,7 +22,7 @@ from shared.tasks.object_specs import Limb, StrikeSpec
 from shared.tasks.places import MarkedObject, marked_object
 from shared.tasks.specs import HaltSpec
 from shared.tasks.touching import Upright, worth_of_blow
-from shared.tasks.walking import Walk, step_to
+from shared.tasks.walking import STILL_MPS, Pace, Walk, step_to
 
 Array = npt.NDArray[np.float64]
 
@@ -79,7 +79,6 @@ GOING_RAD = 0.30
 """Beyond this lean, well past its edge, the bag goes down by itself."""
 LANDED_S = 0.5
 """So long after a blow should have landed the next one is thought of."""
-STILL_MPS = 0.3
 TURN_FROM_RAD = 0.5
 WALK_FROM_M = 0.36
 """Farther than this from where it should stand it walks; nearer it takes a step."""
@@ -109,7 +108,7 @@ class StrikeTask(Task):
         self._blow_tick, self._felt = 0, False
         self._stood, self._way = np.zeros(3), np.zeros(2)
         self._blows = 0
-        self._seen: tuple[int, Array] | None = None
+        self._pace = Pace()
         self._walking = False
         self._range = RANGES[spec.limb.split("_")[1]]
 
@@ -141,11 +140,12 @@ class StrikeTask(Task):
         self._bag = marked_object(view, self._spec.mark)
         self._stand.start(view)
         self._lands_tick, self._hit_tick, self._blows = None, None, 0
-        self._seen, self._walking = None, False
+        self._walking = False
+        self._pace.forget()
 
     def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
         """To the bag, back from it, the blow whose arrival tick counts down, or through it; standing once it goes."""
-        speed = self._speed(view)
+        speed = self._pace.mps(view)
         spec, bag = self._spec, self._known()
         pose = view.objects.get(bag.object)
         if pose is not None and float(object_rules.tilt_rad(pose)) >= GOING_RAD:
@@ -184,13 +184,6 @@ class StrikeTask(Task):
         self._stood, self._way = place, way
         self._blows += 1
         return self._blow(view, plan_tick)
-
-    def _speed(self, view: BodyView) -> float:
-        now = (view.tick, view.pelvis_xy_m.copy())
-        before, self._seen = self._seen, now
-        if before is None or before[0] == now[0]:
-            return 0.0
-        return float(np.linalg.norm(now[1] - before[1])) * TICK_HZ / (now[0] - before[0])
 
     def _told(self, name: str) -> float:
         """A distance or time of the spec, or what suits the limb."""

@@ -13,10 +13,31 @@ from shared.tasks.specs import ReachSpec
 
 Array = npt.NDArray[np.float64]
 SAME_PLACE_M = 0.1
+STILL_MPS = 0.3
+"""Slower than this a body has come to rest: turned, or struck, out of a walk it goes on for half a metre."""
 STEP_MPS, LEAST_STEP_S = 0.6, 1.0
 STEP_HOLD_TICKS = 30
 """Planned anew every half second from the same stand, a step is begun again and again and hardly made."""
 FORWARD_TEXT, BACK_TEXT = "a person steps forward.", "a person steps backward."
+
+
+class Pace:
+    """How fast the pelvis goes over the floor, from one look at the body to the next."""
+
+    def __init__(self) -> None:
+        self._seen: tuple[int, Array] | None = None
+
+    def forget(self) -> None:
+        """The next look is the first."""
+        self._seen = None
+
+    def mps(self, view: BodyView) -> float:
+        """Mean speed since the last look at another tick, in metres of a body of canonical size; 0 at the first."""
+        before, now = self._seen, (view.tick, view.pelvis_xy_m.copy())
+        self._seen = now
+        if before is None or before[0] >= now[0]:
+            return 0.0
+        return float(np.linalg.norm(now[1] - before[1])) / view.scale * TICK_HZ / (now[0] - before[0])
 
 
 class Walk:
