@@ -21,9 +21,9 @@ from shared.protocol.rates import TICK_HZ
 
 TASKS: list[dict[str, Any]] = [
     {"type": "reach", "name": "walk towards the bag", "position_m": [1.0, 0.2]},
-    {"type": "strike", "name": "strike the bag", "limb": "right_hand", "retries": 2},
-    {"type": "sit", "name": "sit on the sofa", "retries": 2},
-    {"type": "get_up", "name": "get up", "retries": 1},
+    {"type": "strike", "name": "strike the bag", "limb": "right_hand", "retries": 4},
+    {"type": "sit", "name": "sit on the sofa", "retries": 3},
+    {"type": "get_up", "name": "get up", "retries": 2},
     {"type": "text", "name": "wave", "text": "a person waves with the right hand.", "duration_s": 5.0, "retries": 1},
 ]
 EPISODE: dict[str, Any] = {"name": "demo", "scene": "room", "tasks": TASKS}

@@ -74,12 +74,12 @@ def test_weights_drive_the_character_that_they_were_trained_with(tmp_path: Path)
 
 def test_motion_that_is_trained_on_has_the_size_of_who_is_trained() -> None:
     stand = standing_clip(30, 30.0).positions_w_m
-    motion = MotionInput("a", "sit_down", 1.0, stand, (0.5, 0.2, 0.45, 1.0))
+    motion = MotionInput("a", "sit_down", 1.0, stand, (0.5, 0.2, 0.45, 1.0, 0.0))
     assert sized(motion, humanoid(HUMAN)) is motion
     child = humanoid(character("child"))
     own = sized(motion, child)
     scale = build("child").world_scale
-    np.testing.assert_allclose(own.seat, (0.5 * scale, 0.2 * scale, 0.45 * scale, 1.0))
+    np.testing.assert_allclose(own.seat, (0.5 * scale, 0.2 * scale, 0.45 * scale, 1.0, 0.0))
     assert sized(replace(motion, seat=NO_SEAT), child).seat == NO_SEAT
     references = prepare(child, [own])
     np.testing.assert_allclose(references.pos_w_m[0, 0, 2], child.character.skeleton.root_height_m, atol=0.02)
