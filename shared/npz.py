@@ -22,11 +22,11 @@ SNAPSHOT_BYTES = 32 * 2**20
 
 _DAMAGED = (
     zipfile.BadZipFile, zlib.error, tokenize.TokenError, SyntaxError, OSError, EOFError, ValueError,
-    NotImplementedError, RuntimeError, MemoryError,
+    RuntimeError, MemoryError,
 )  # fmt: skip
 """What zipfile and numpy raise for bytes that are not theirs; each is told as InvalidInputError.
 
-NotImplementedError: an unknown compression; RuntimeError: an encrypted member; MemoryError: a size beyond all memory;
+RuntimeError: an encrypted member, or an unknown compression; MemoryError: a size beyond all memory;
 SyntaxError and TokenError: a header, which numpy reads as Python's literals."""
 
 

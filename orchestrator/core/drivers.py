@@ -53,6 +53,10 @@ class Driver(Protocol):
         """Whether the tracker's clock drives the character, and not `cycle`."""
         ...
 
+    def saw(self, state: StateFrame) -> None:
+        """Something was done to character or scene between cycles: this is how it is now."""
+        ...
+
     async def drop_plan(self) -> None:
         """The body was put somewhere else: what is being planned for it says nothing any more. Plan anew."""
         ...
@@ -109,6 +113,10 @@ class _Paced:
         """Plan as soon as may be: at the next tick that is a frame of the planner, or when the plan under way has
         landed."""
         self._next_plan_tick = self._state.tick
+
+    def saw(self, state: StateFrame) -> None:
+        """The next plan is made for it as it is now."""
+        self._state = state
 
     def pace(self) -> Pace:
         """When the next plan is due, the plan in force, and those that came early or were bad."""

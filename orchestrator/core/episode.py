@@ -293,6 +293,7 @@ class EpisodeRunner:
         view = replace(view_of(state), scene=self.session.scene)
         for move in props_of(task, view):
             state = await self.session.ask(StateFrame, move)
+            self.session.show(state)
             view = replace(view_of(state), scene=self.session.scene)
             self.events.emit("object_set", state.tick, name=move.name)
         self._running = Performing(index, task, view)

@@ -70,8 +70,6 @@ class Performing:
 
     def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
         """What the task asks for."""
-        if view.tick == self.begin_tick:  # the driver's view may be older than what was put elsewhere for the task
-            view = replace(view, objects=self._begin.objects)
         self._goals.append((view, plan_tick))
         return self.task.goal(view, plan_tick)
 

@@ -243,8 +243,10 @@ class Session:
         return cycle
 
     def show(self, state: StateFrame) -> None:
-        """Take a state that came outside of a cycle, and hand it to the viewers."""
+        """Take a state that came outside of a cycle, also for the next plan, and hand it to the viewers."""
         self._state = state
+        if self._driver is not None:
+            self._driver.saw(state)
         self.states.publish(state)
 
     def replan_now(self) -> None:
@@ -342,6 +344,7 @@ class Session:
             await self._come_back_to_ask(error)
             self._state = await self.loop.reset(self._free_place())
         if self._driver is not None:
+            self._driver.saw(self._state)
             await self._driver.drop_plan()
         self._keep_due = True
         self.events.emit("reset", self._state.tick)

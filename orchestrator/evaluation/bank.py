@@ -29,6 +29,7 @@ from orchestrator.evaluation.commands import DEFAULT
 from orchestrator.evaluation.rows import Measured
 from orchestrator.evaluation.tasks import episode_spec
 from shared.data.props import Seat
+from shared.errors import UnavailableError
 from shared.protocol.messages import TICK_HZ, StateFrame
 from shared.scenes.placing import mark_place
 from shared.scenes.schema import Scene
@@ -153,6 +154,9 @@ async def record_tasks(
 
     Returns:
         {pieces, minutes, episodes, done}.
+
+    Raises:
+        UnavailableError: an episode could not be begun.
     """
     out.mkdir(parents=True, exist_ok=True)
     total = {"pieces": 0, "ticks": 0, "episodes": 0, "done": 0}
@@ -163,6 +167,8 @@ async def record_tasks(
         runner = EpisodeRunner(str(uuid.uuid4()), spec, services, EventLog())
         async with gate:
             outcome = await runner.run()
+            if not runner.session.created:
+                raise UnavailableError(f"{task} {index} did not begin: {outcome.reason}")
             try:
                 log = await runner.session.loop.ticks(0, runner.tick, TICK_HZ, reference=True)
             finally:

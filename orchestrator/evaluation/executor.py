@@ -7,11 +7,11 @@ runs and whatever runs beside it: the rows of an evaluation are the same for eve
 from __future__ import annotations
 
 import asyncio
+from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Literal, Protocol, Self, TypeVar
+from typing import Any, Literal, Self, TypeVar
 
 from orchestrator.core.services import Services, connect
 from orchestrator.core.supervise import Say, Stack, StackOptions
@@ -78,19 +78,20 @@ class Answering:
         )
 
 
-class Executor(Protocol):
+class Executor(ABC):
     """Pairs of planner and tracker, and what runs jobs against them; leaving it as a context ends the pairs."""
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
+    @abstractmethod
+    def __exit__(self, *raised: object) -> None: ...
 
+    @abstractmethod
     async def open(self) -> Answering:
         """Start the pairs. Raises MotionLoopError when one does not start or is not as the others."""
-        ...
 
+    @abstractmethod
     async def run(
         self,
         job: Callable[[Services, Argument], Awaitable[Result]],
@@ -98,14 +99,13 @@ class Executor(Protocol):
         done: Callable[[Argument, Result], None],
     ) -> None:
         """Run `job` for each argument, in any order; `done` is called in this process as each ends."""
-        ...
 
+    @abstractmethod
     async def close(self) -> None:
         """Let go of the pairs' sockets."""
-        ...
 
 
-class LocalProcesses:
+class LocalProcesses(Executor):
     """Pairs as processes of this machine, driven by this process.
 
     Args:
@@ -121,12 +121,7 @@ class LocalProcesses:
         self._gate = asyncio.Semaphore(parallel)
         self._pairs: list[Services] = []
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         for stack in self._stacks:
             stack.stop()
 

@@ -10,12 +10,11 @@ import asyncio
 import importlib.util
 from collections import Counter
 from collections.abc import Awaitable, Callable, Sequence
-from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 from orchestrator.core.services import Services
 from orchestrator.core.supervise import Say
-from orchestrator.evaluation.executor import Answering, Pairing
+from orchestrator.evaluation.executor import Answering, Executor, Pairing
 from shared.errors import IncompatiblePeerError, InvalidInputError, UnavailableError
 
 Argument = TypeVar("Argument")
@@ -52,7 +51,7 @@ class Workplace:
         self._stack.stop()
 
 
-class RayCluster:
+class RayCluster(Executor):
     """Pairs on the nodes of a Ray cluster.
 
     A node that is lost takes its pairs along; their jobs are done again by the others.
@@ -81,12 +80,7 @@ class RayCluster:
         self._actors: list[Any] = []
         self._busy: Counter[Any] = Counter()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         import ray
 
         if ray.is_initialized():

@@ -116,7 +116,8 @@ async def evaluate_tasks(
     wanted = [(task, index) for task in tasks for index in range(episodes)]
     for key in wanted:
         episode_spec(key, measured)  # what is wrong with one is told before the first has run
-    rows = {key: row for key, row in finished(resume, measured).items() if key in set(wanted)}
+    known = set(wanted)
+    rows = {key: row for key, row in finished(resume, measured).items() if key in known}
 
     def done(job: EpisodeJob, result: tuple[Row, bytes | None]) -> None:
         rows[job.key], film = result

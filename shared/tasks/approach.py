@@ -39,6 +39,25 @@ def stepped_target(from_m: Array, goal_m: Array, most_m: float) -> Array:
     return goal_m if distance <= most_m else from_m + away * (most_m / distance)
 
 
+class Pace:
+    """How fast the pelvis goes over the floor, from one look at the body to the next."""
+
+    def __init__(self) -> None:
+        self._last: BodyView | None = None
+
+    def forget(self) -> None:
+        """The next look is the first."""
+        self._last = None
+
+    def mps(self, view: BodyView) -> float | None:
+        """Mean speed since the last look; None at the first, or at the same tick."""
+        before, self._last = self._last, view
+        if before is None or view.tick <= before.tick:
+            return None
+        way_m = float(np.linalg.norm(view.pelvis_xy_m - before.pelvis_xy_m))
+        return way_m * TICK_HZ / (view.tick - before.tick)
+
+
 class Approach:
     """A joint on its way to a place, in steps that a plan can make, at a natural speed.
 

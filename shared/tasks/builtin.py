@@ -11,7 +11,7 @@ from shared.errors import ConflictError
 from shared.motion.rotations import wrap_angle
 from shared.protocol.messages import TICK_HZ, HeadingTarget, JointTarget
 from shared.tasks import rules
-from shared.tasks.approach import TRAJ, Approach, turn_on_the_spot
+from shared.tasks.approach import TRAJ, Approach, Pace, turn_on_the_spot
 from shared.tasks.interface import BodyView, PlanGoal, Status, Task, Trace, Verdict
 from shared.tasks.obey import kind_of, obeyed
 from shared.tasks.specs import HaltSpec, ReachSpec, ReachTuning, TextSpec
@@ -134,7 +134,7 @@ class HaltTask(Task):
 
     def __init__(self, spec: HaltSpec):
         self._spec = spec
-        self._last: BodyView | None = None
+        self._pace = Pace()
         self._spot: Array | None = None
         self._facing_rad = 0.0
 
@@ -150,15 +150,14 @@ class HaltTask(Task):
 
     def start(self, view: BodyView) -> None:
         """The spot is where the body comes to rest, which is not known yet."""
-        self._last, self._spot = None, None
+        self._spot = None
+        self._pace.forget()
 
     def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
         """Standing; once the body is slow, on the spot where it then is (REFERENCE 3), lest it drift away."""
-        if self._spot is None and self._last is not None and view.tick > self._last.tick:
-            way = float(np.linalg.norm(view.pelvis_xy_m - self._last.pelvis_xy_m))
-            if way * TICK_HZ / (view.tick - self._last.tick) < SLOW_MPS:
-                self._spot, self._facing_rad = view.pelvis_xy_m.copy(), view.heading_rad
-        self._last = view
+        mps = self._pace.mps(view)
+        if self._spot is None and mps is not None and mps < SLOW_MPS:
+            self._spot, self._facing_rad = view.pelvis_xy_m.copy(), view.heading_rad
         if self._spot is None:
             return PlanGoal(text=self._spec.text, guidance=self._spec.guidance)
         spot = (float(self._spot[0]), float(self._spot[1]), 0.0)

@@ -13,13 +13,13 @@ from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import TICK_HZ, HeadingTarget, JointTarget
 from shared.scenes.placing import Place
 from shared.tasks import object_rules
-from shared.tasks.approach import Approach, turn_on_the_spot
+from shared.tasks.approach import Approach, Pace, turn_on_the_spot
 from shared.tasks.builtin import HaltTask
 from shared.tasks.interface import RISE_PLANNER, BodyView, PlanGoal, Posture, Status, Task, Trace, Verdict
 from shared.tasks.object_specs import GetUpSpec, SitSpec
 from shared.tasks.places import MarkedObject, marked_object
 from shared.tasks.specs import HaltSpec, ReachTuning
-from shared.tasks.walking import STILL_MPS, Pace, Walk
+from shared.tasks.walking import STILL_MPS, Walk
 
 Array = npt.NDArray[np.float64]
 PELVIS = CANONICAL.index("pelvis")
@@ -134,7 +134,7 @@ class SitTask(Task):
     def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
         """To the front, round, and down: the pelvis aimed above the seat's top, facing away from the seat; there it
         stays."""
-        spec, seat, speed = self._spec, _known(self._seat), self._pace.mps(view)
+        spec, seat, mps = self._spec, _known(self._seat), self._pace.mps(view)
         place = seat.place(view)
         pelvis = view.pos_w_m[PELVIS]
         top = float(place.position_w_m[2]) + spec.above_m * view.scale
@@ -151,9 +151,9 @@ class SitTask(Task):
             if not self._there:
                 return self._walk.goal(view, through, plan_tick)
             turn = float(wrap_angle(place.heading_rad - view.heading_rad))
-            if speed > STILL_MPS and abs(turn) > FACING_RAD:
-                return self._walk.goal(view, front, plan_tick)
             if abs(turn) > FACING_RAD:
+                if mps is not None and mps > STILL_MPS * view.scale:
+                    return self._walk.goal(view, front, plan_tick)
                 return turn_on_the_spot(view, plan_tick, turn, spec.guidance)
         if self._begun_tick is None:
             self._begun_tick, self._aim = plan_tick, place_on(seat, view)
@@ -275,6 +275,7 @@ class GetUpTask(Task):
         pelvis, target = view.pos_w_m[PELVIS], self.target_w_m
         if float(np.linalg.norm(pelvis - target)) < 0.2 * view.scale:
             return self._stand.goal(view, plan_tick)
+        self._stand.start(view)
         if pelvis[2] >= UP_SHARE * target[2]:
             return self._walk.goal(view, target[:2], plan_tick)
         if self._spec.from_ == "floor":

@@ -15,14 +15,14 @@ from shared.motion.rotations import wrap_angle
 from shared.protocol.messages import TICK_HZ, HeadingTarget, JointTarget
 from shared.scenes.placing import pose_of, top_m
 from shared.tasks import object_rules
-from shared.tasks.approach import TRAJ, turn_on_the_spot
+from shared.tasks.approach import TRAJ, Pace, turn_on_the_spot
 from shared.tasks.builtin import HaltTask
 from shared.tasks.interface import BodyView, PlanGoal, Status, Task, Trace, Verdict
 from shared.tasks.object_specs import Limb, StrikeSpec
 from shared.tasks.places import MarkedObject, marked_object
 from shared.tasks.specs import HaltSpec
 from shared.tasks.touching import Upright, worth_of_blow
-from shared.tasks.walking import STILL_MPS, Pace, Walk, step_to
+from shared.tasks.walking import STILL_MPS, Walk, step_to
 
 Array = npt.NDArray[np.float64]
 
@@ -145,11 +145,20 @@ class StrikeTask(Task):
 
     def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
         """To the bag, back from it, the blow whose arrival tick counts down, or through it; standing once it goes."""
-        speed = self._pace.mps(view)
+        told = self._deed(view, plan_tick)
+        if told is None:
+            return self._stand.goal(view, plan_tick)
+        self._stand.start(view)  # where it stood before is no place to go back to
+        return told
+
+    def _deed(self, view: BodyView, plan_tick: int) -> PlanGoal | None:
+        """What is to be done now; None: come to rest."""
+        mps = self._pace.mps(view)
+        moving = mps is not None and mps > STILL_MPS * view.scale
         spec, bag = self._spec, self._known()
         pose = view.objects.get(bag.object)
         if pose is not None and float(object_rules.tilt_rad(pose)) >= GOING_RAD:
-            return self._stand.goal(view, plan_tick)
+            return None
         place = bag.place(view).position_w_m.astype(np.float64)
         if self._lands_tick is not None:
             if self._hit_tick is None and self._was_hit(place, pose):
@@ -166,12 +175,12 @@ class StrikeTask(Task):
         stand_m, near_m, far_m = (self._told(name) for name in ("stand_m", "from_m", "to_m"))
         if distance - stand_m > WALK_FROM_M:
             self._walking = True
-        elif speed < STILL_MPS:
+        elif not moving:
             self._walking = False
         if self._walking:
             return self._walk.goal(view, place[:2] - way * stand_m * view.scale, plan_tick)
-        if speed > STILL_MPS:
-            return self._stand.goal(view, plan_tick)
+        if moving:
+            return None
         if not near_m <= distance <= far_m and abs(bearing) <= TURN_FROM_RAD:
             ahead_m = distance - stand_m
             gone_m = max(ahead_m, LEAST_STEP_M) if distance > far_m else min(ahead_m, -LEAST_STEP_M)

@@ -21,25 +21,6 @@ STEP_HOLD_TICKS = 30
 FORWARD_TEXT, BACK_TEXT = "a person steps forward.", "a person steps backward."
 
 
-class Pace:
-    """How fast the pelvis goes over the floor, from one look at the body to the next."""
-
-    def __init__(self) -> None:
-        self._seen: tuple[int, Array] | None = None
-
-    def forget(self) -> None:
-        """The next look is the first."""
-        self._seen = None
-
-    def mps(self, view: BodyView) -> float:
-        """Mean speed since the last look at another tick, in metres of a body of canonical size; 0 at the first."""
-        before, now = self._seen, (view.tick, view.pelvis_xy_m.copy())
-        self._seen = now
-        if before is None or before[0] >= now[0]:
-            return 0.0
-        return float(np.linalg.norm(now[1] - before[1])) / view.scale * TICK_HZ / (now[0] - before[0])
-
-
 class Walk:
     """The way to a place on the floor, gone as `reach` goes it; the place may move.
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable, Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,21 +29,26 @@ def test_pieces_end_where_the_body_was_lost_or_fell() -> None:
     assert LEAST_TICKS == 45
 
 
-def test_a_bank_holds_the_references_of_the_loop(tmp_path: Path) -> None:
-    stack = Stack(light(tmp_path), lambda line: None)
+def recorded(folder: Path, record: Callable[[Services], Awaitable[dict[str, Any]]]) -> dict[str, Any]:
+    """What a recording on a planner that stands and a tracker without physics returns."""
+    stack = Stack(light(folder), lambda line: None)
 
-    async def run() -> dict[str, object]:
+    async def run() -> dict[str, Any]:
         planner, tracker = stack.start_services()[:2]
         services = Services(await connect(planner, "planner", "stand"), await connect(tracker, "tracker", "kinematic"))
         try:
-            return await record_bank(services, tmp_path / "bank", minutes=0.4, seed=3, parallel=2)
+            return await record(services)
         finally:
             await services.close()
 
     try:
-        result = asyncio.run(run())
+        return asyncio.run(run())
     finally:
         stack.stop()
+
+
+def test_a_bank_holds_the_references_of_the_loop(tmp_path: Path) -> None:
+    result = recorded(tmp_path, lambda on: record_bank(on, tmp_path / "bank", minutes=0.4, seed=3, parallel=2))
     files = sorted((tmp_path / "bank").glob("*.npz"))
     assert len(files) == result["pieces"] == 2
     height_m = float(standing_clip(1, 30).positions_w_m[0, :, 2].max())
@@ -55,20 +62,7 @@ def test_a_bank_holds_the_references_of_the_loop(tmp_path: Path) -> None:
 
 
 def test_a_bank_of_tasks_holds_what_was_planned_and_where_the_seat_is(tmp_path: Path) -> None:
-    stack = Stack(light(tmp_path), lambda line: None)
-
-    async def run() -> dict[str, object]:
-        planner, tracker = stack.start_services()[:2]
-        services = Services(await connect(planner, "planner", "stand"), await connect(tracker, "tracker", "kinematic"))
-        try:
-            return await record_tasks(services, tmp_path / "bank", ["sit", "halt"], 2, seed=3)
-        finally:
-            await services.close()
-
-    try:
-        result = asyncio.run(run())
-    finally:
-        stack.stop()
+    result = recorded(tmp_path, lambda on: record_tasks(on, tmp_path / "bank", ["sit", "halt"], 2, seed=3))
     files = sorted(path.name for path in (tmp_path / "bank").glob("*.npz"))
     assert files == ["halt_3_0000_0.npz", "halt_3_0001_0.npz", "sit_3_0000_0.npz", "sit_3_0001_0.npz"]
     assert (result["pieces"], result["episodes"]) == (4, 4)

@@ -31,6 +31,17 @@ from tracker_service.service.service import TrackerService
 from tracker_service.service.settings import TrackerServiceSettings
 
 
+def planned(request: PlanRequest, positions_w_m: np.ndarray) -> Plan:
+    """The plan that goes through these poses."""
+    clip = clip_from_positions(positions_w_m, 20, rebuild=True)
+    return Plan(
+        planner="own",
+        start_tick=request.start_tick,
+        positions_w_m=clip.positions_w_m,
+        rotations_6d=clip.rotations_6d,
+    )
+
+
 class Lying:
     """A planner whose body sinks to the floor within a second, whatever it is told."""
 
@@ -45,13 +56,7 @@ class Lying:
         sunk = np.repeat(request.prefix_positions_w_m[-1:].astype(np.float64), request.horizon_frames, axis=0)
         heights = sunk[0, 0, 2] - np.minimum(np.arange(1, request.horizon_frames + 1) / 20, 1.0)
         sunk[:, :, 2] += (np.maximum(heights, 0.15) - sunk[0, 0, 2])[:, None]
-        clip = clip_from_positions(sunk, 20, rebuild=True)
-        return Plan(
-            planner="own",
-            start_tick=request.start_tick,
-            positions_w_m=clip.positions_w_m,
-            rotations_6d=clip.rotations_6d,
-        )
+        return planned(request, sunk)
 
 
 class Wilful(Lying):
@@ -64,13 +69,7 @@ class Wilful(Lying):
         self.asked.append(request.seed)
         still = np.repeat(request.prefix_positions_w_m[-1:].astype(np.float64), request.horizon_frames, axis=0)
         still[:, :, 0] += request.seed % 97 / 1000
-        clip = clip_from_positions(still, 20, rebuild=True)
-        return Plan(
-            planner="own",
-            start_tick=request.start_tick,
-            positions_w_m=clip.positions_w_m,
-            rotations_6d=clip.rotations_6d,
-        )
+        return planned(request, still)
 
 
 async def chosen(planner: str, tracker: str, goal: PlanGoal) -> Plan:

@@ -124,6 +124,19 @@ def test_far_from_the_bag_it_walks_near_it_steps_beside_it_turns() -> None:
     assert task.goal(view("bag", 1.1, facing=pi / 2), 0).text == "a person turns to the right."
 
 
+def test_where_it_stood_before_is_no_place_to_go_back_to() -> None:
+    task = make_task(StrikeSpec(), 0)
+    task.start(view("bag", 1.3))
+    for tick in (0, 15):
+        stood = task.goal(leaning_bag(view("bag", 1.3, tick=tick), 0.6), tick)
+    assert stood.targets[0].position_w_m == pytest.approx((1.3, 0.0, 0.0))
+    assert "strike" in str(task.goal(view("bag", 1.3, tick=30), 30).text)
+    falls = leaning_bag(view("bag", 2.2, tick=60), 0.6)
+    assert task.goal(falls, 60).targets == ()
+    spot = task.goal(leaning_bag(view("bag", 2.25, tick=75), 1.5), 75).targets[0].position_w_m
+    assert spot == pytest.approx((2.25, 0.0, 0.0))
+
+
 def test_distances_that_a_user_gives_go_before_those_of_the_limb() -> None:
     task = make_task(StrikeSpec(from_m=0.3, stand_m=0.5, to_m=0.6), 0)
     task.start(view("bag", 1.3))
