@@ -71,3 +71,8 @@ class EventLog:
                     yield following
         finally:
             self._listeners.discard(queue)
+
+
+def captions_of(events: Sequence[Event]) -> list[tuple[int, str]]:
+    """What an episode's video says from which tick on: the task under way, attempts that were missed included."""
+    return [(event.tick, str(event.data["label"])) for event in events if event.type == "task_begin"]

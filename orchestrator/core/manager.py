@@ -13,7 +13,7 @@ import numpy as np
 from orchestrator.core.character import CharacterSession, CharacterSpec
 from orchestrator.core.episode import EpisodeRunner
 from orchestrator.core.episode_spec import EpisodeOutcome, EpisodeSpec
-from orchestrator.core.events import EventLog
+from orchestrator.core.events import EventLog, captions_of
 from orchestrator.core.loop import trace_from
 from orchestrator.core.services import Services, Slot
 from orchestrator.core.swap import check_drives, check_spec, swap
@@ -221,9 +221,10 @@ class Orchestrator:
                 )
             if live.outcome is None:
                 raise ConflictError("the episode is still running", field="id")
-            captions = [(r.start_tick, r.label) for r in live.outcome.results]
             request = Render(
-                start_tick=live.runner.session.log_from_tick, stop_tick=live.runner.tick or None, captions=captions
+                start_tick=live.runner.session.log_from_tick,
+                stop_tick=live.runner.tick or None,
+                captions=captions_of(live.runner.events.since(0)),
             )
             video = await live.runner.session.loop.ask_tracker(Video, request, RENDER_TIMEOUT_S)
             live.runner.events.emit("video", live.runner.tick, renderer=video.renderer, note=video.note)

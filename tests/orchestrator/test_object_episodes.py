@@ -7,6 +7,8 @@ from typing import Any
 import httpx
 import pytest
 
+from orchestrator.core.events import captions_of
+from orchestrator.rest import Event
 from tests.orchestrator.support import play
 
 SIT_UP: list[dict[str, Any]] = [{"type": "sit", "time_limit_s": 3}, {"type": "get_up", "time_limit_s": 2}]
@@ -47,9 +49,14 @@ def test_a_missed_strike_is_tried_again_as_often_as_it_may(http: httpx.Client) -
     reply = http.post("/v1/episodes", json=spec)
     assert reply.status_code == 201, reply.text
     path = f"/v1/episodes/{reply.json()['id']}"
-    events = http.get(f"{path}/events").text.replace(" ", "")
-    assert events.count('"type":"task_missed"') == 2
+    lines = http.get(f"{path}/events").text.splitlines()
+    events = [Event.model_validate_json(line.removeprefix("data:")) for line in lines if line.startswith("data:")]
+    missed = [event.tick for event in events if event.type == "task_missed"]
+    assert len(missed) == 2
     results = http.get(path).json()["results"]
+    captions = captions_of(events)  # a video says what each attempt is, not only the last
+    assert [text for _, text in captions] == ["strike with the right hand"] * 3 + ["stand still"]
+    assert captions[0][0] < missed[0] <= captions[1][0] < missed[1] <= captions[2][0] == results[0]["start_tick"]
     assert [result["type"] for result in results] == ["strike", "halt"]
     assert results[0]["reason"] == "timed out"
     assert results[1]["success_strict"]
