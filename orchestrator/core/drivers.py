@@ -16,7 +16,8 @@ from shared.errors import MotionLoopError, SimulationError, TransportError
 from shared.protocol.messages import TICK_HZ, Plan, StateFrame
 from shared.tasks.interface import Trace
 
-PLANNER_RETRY_S = 0.5
+PLANNER_RETRY_S, PLANNER_RETRY_TICKS = 0.25, 6
+"""After so long a planner that was away is asked again: by the clock, and in lockstep."""
 BAD_PLANS_IN_A_ROW = 4
 
 
@@ -173,6 +174,7 @@ class LockstepDriver(_Paced):
                 if not _unavailable(error):
                     raise
                 trouble = error.message
+                period = max(PLANNER_RETRY_TICKS // spacing, 1) * spacing
             else:
                 self._bad.clear()
                 reply = await self._loop.track(plan)

@@ -25,6 +25,9 @@ PATIENCE_S = 2.0
 """After so long without a reply the service is asked whether it is alive."""
 HEALTH_S = 5.0
 """A service that does not say within this how it is counts as gone; a machine under load must not look like that."""
+DOUBT_S = 0.25
+"""One that let a deadline pass in silence is asked for its health so soon: its first answer makes whatever waits for
+it be sent again."""
 LEFT_BEHIND_S = 600.0
 EXPECTED_S = 1.0
 """A tracker that is not there is asked again after so long."""
@@ -75,20 +78,27 @@ class Slot:
             MotionLoopError: what the service replied, or DeadlineError.
         """
         task = asyncio.create_task(self.client.ask(message, kind, character_id, timeout_s=timeout_s))
+        health: asyncio.Task[HealthReport] | None = None
         try:
             while True:
-                done, _ = await asyncio.wait({task}, timeout=patience_s)
-                if done:
+                await asyncio.wait({task}, timeout=min(patience_s, DOUBT_S) if self.client.in_doubt else patience_s)
+                if task.done():
+                    return task.result()
+                health = asyncio.create_task(self.client.ask(Health(), HealthReport, timeout_s=health_s))
+                # A request that ends meanwhile has said enough.
+                await asyncio.wait({task, health}, return_when=asyncio.FIRST_COMPLETED)
+                if task.done():
                     return task.result()
                 try:
-                    await self.client.ask(Health(), HealthReport, timeout_s=health_s)
+                    health.result()
                 except MotionLoopError as error:
-                    if not task.done():
-                        raise UnavailableError(f"the service at {self.endpoint} does not answer") from error
+                    raise UnavailableError(f"the service at {self.endpoint} does not answer") from error
         finally:
-            task.cancel()
-            with contextlib.suppress(asyncio.CancelledError, MotionLoopError):
-                await task
+            for each in (task, health):
+                if each is not None:
+                    each.cancel()
+                    with contextlib.suppress(asyncio.CancelledError, MotionLoopError):
+                        await each
 
 
 @dataclass

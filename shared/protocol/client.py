@@ -27,14 +27,17 @@ from shared.protocol.control import Envelope, ErrorReply, Health, Hello, Welcome
 from shared.protocol.errors import error_from
 from shared.protocol.security import CurveKeys, closed_on_error, secure_client
 from shared.protocol.server import SKELETON_ID
+from shared.protocol.waiting import Waiting
 from shared.tracing import current_trace
 
 Kind = Literal["planner", "tracker"]
 Reply = TypeVar("Reply", bound=Message)
 DEFAULT_TIMEOUT_S = 10.0
 HANDSHAKE_TIMEOUT_S = 5.0
-RESEND_S = 1.0
-"""What is lost costs about so much time; a service that is busy answers a repeated request once."""
+RESEND_S, CONTROL_RESEND_S = 1.0, 0.25
+"""What is lost costs about so much time; a service that is busy answers a repeated request once. Hello and Health are
+small, and a service has a thread of its own for them: they find out early that it is there again."""
+LONGEST_RECONNECT_MS = 250
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,7 @@ class Peer:
         """Set up and connect a DEALER socket."""
         socket.linger = 0
         socket.maxmsgsize = MAX_MESSAGE_BYTES
-        socket.reconnect_ivl, socket.reconnect_ivl_max = 50, 1000
+        socket.reconnect_ivl, socket.reconnect_ivl_max = 50, LONGEST_RECONNECT_MS
         socket.heartbeat_ivl, socket.heartbeat_timeout = 2000, 6000
         secure_client(socket, self.curve)
         socket.connect(self.endpoint)
@@ -122,6 +125,10 @@ def _check_type(reply: Message, reply_type: type[Reply]) -> Reply:
 
 def _needs_handshake(message: Message) -> bool:
     return not isinstance(message, Hello | Health)
+
+
+def _resend_s(message: Message) -> float:
+    return RESEND_S if _needs_handshake(message) else CONTROL_RESEND_S
 
 
 class ServiceClient:
@@ -226,7 +233,7 @@ class ServiceClient:
                 raise UnavailableError("the client is closed")
             with contextlib.suppress(zmq.Again):  # the queue to a peer that is away is full: tried again below
                 self._socket.send_multipart(frames, flags=zmq.NOBLOCK)
-            resend_at = time.monotonic() + RESEND_S
+            resend_at = time.monotonic() + _resend_s(message)
             while (left_s := min(until, resend_at) - time.monotonic()) > 0:
                 if self._socket.poll(max(1, round(left_s * 1000))):
                     reply = _reply_to(envelope.message_id, self._socket.recv_multipart())
@@ -248,7 +255,8 @@ def _reply_to(message_id: str, frames: list[bytes]) -> Message | None:
 
 
 class AsyncServiceClient:
-    """asyncio client; many requests may be under way at once. Same promises as ServiceClient.
+    """asyncio client; many requests may be under way at once. Same promises as ServiceClient. What is under way when
+    a service that was away is heard again is sent again at once.
 
     Make it, use it and `await close()` it within one event loop.
     """
@@ -272,10 +280,15 @@ class AsyncServiceClient:
         self._socket = self._context.socket(zmq.DEALER)
         with closed_on_error(self._socket, self._own_context):
             self.peer.connect(self._socket)
-        self._waiting: dict[str, asyncio.Future[Message]] = {}
+        self._waiting = Waiting()
         self._reader: asyncio.Task[None] | None = None
         self._handshake_lock = asyncio.Lock()
         self._sequence = 0
+
+    @property
+    def in_doubt(self) -> bool:
+        """Whether the last deadline passed in silence, and nothing was heard of the service since."""
+        return self._waiting.in_doubt
 
     async def connect(self, timeout_s: float = HANDSHAKE_TIMEOUT_S) -> Welcome:
         """Shake hands now. Raises UnavailableError if nobody answers, IncompatiblePeerError if the peer is unfit."""
@@ -325,9 +338,7 @@ class AsyncServiceClient:
             self._reader.cancel()
             await asyncio.gather(self._reader, return_exceptions=True)
             self._reader = None
-        for future in self._waiting.values():
-            if not future.done():
-                future.set_exception(UnavailableError("the client was closed"))
+        self._waiting.end(UnavailableError("the client was closed"))
         self._socket.close(linger=0)
         if self._own_context is not None:
             self._own_context.destroy(linger=0)
@@ -352,6 +363,7 @@ class AsyncServiceClient:
         except DeadlineError as error:
             raise UnavailableError(f"nobody answers at {self.peer.endpoint}", field="endpoint") from error
         self.welcome = self.peer.accept(_result(reply))
+        self._waiting.ask_again()  # whatever is under way went to the service's life before this one
         return self.welcome
 
     async def _exchange(self, envelope: Envelope, message: Message, until: float) -> Message:
@@ -360,31 +372,21 @@ class AsyncServiceClient:
         if self._reader is None or self._reader.done():
             self._reader = asyncio.create_task(self._read(), name="motionloop-client-reader")
         frames = encode(envelope, message)
-        future: asyncio.Future[Message] = asyncio.get_running_loop().create_future()
-        self._waiting[envelope.message_id] = future
+        future = self._waiting.add(envelope.message_id)
         try:
             while True:
                 with contextlib.suppress(zmq.Again):  # the queue to a peer that is away is full: tried again below
                     await self._socket.send_multipart(frames, flags=zmq.NOBLOCK)
-                wait_s = min(until - time.monotonic(), RESEND_S)
-                done, _ = await asyncio.wait({future}, timeout=max(wait_s, 0.0))
-                if done:
-                    return future.result()
+                wait_s = min(until - time.monotonic(), _resend_s(message))
+                reply = await self._waiting.reply(future, max(wait_s, 0.0))
+                if reply is not None:
+                    return reply
                 if time.monotonic() >= until:
+                    self._waiting.in_doubt = True
                     raise DeadlineError(f"no reply to {message.type} from {self.peer.endpoint} before the deadline")
         finally:
-            self._waiting.pop(envelope.message_id, None)
+            self._waiting.remove(envelope.message_id)
 
     async def _read(self) -> None:
         while True:
-            frames = await self._socket.recv_multipart()
-            try:
-                envelope, reply = decode(frames)
-            except MotionLoopError as error:
-                waiting = self._waiting.get(message_id_of(frames))
-                if waiting is not None and not waiting.done():
-                    waiting.set_exception(error)
-                continue
-            waiting = self._waiting.get(envelope.message_id)
-            if waiting is not None and not waiting.done():
-                waiting.set_result(reply)
+            self._waiting.take(await self._socket.recv_multipart())

@@ -55,6 +55,7 @@ class Arena:
     running: dict[str, dict[str, Any]] = field(default_factory=dict)
     ended: list[Ended] = field(default_factory=list)
     started: int = 0
+    _unchecked: list[tuple[Ended, dict[str, Any]]] = field(default_factory=list)
 
     def ask(self, method: str, path: str, body: dict[str, Any] | None = None) -> httpx.Response | None:
         """The answer; None while nobody answers."""
@@ -125,12 +126,20 @@ class Arena:
         for episode_id in list(self.running):
             self.wait(lambda path=f"/v1/episodes/{episode_id}": self.ask("DELETE", path) is not None, "it is cancelled")
         self.wait(lambda: not self.look() and not self.running, "all have ended")
+        self.check()
+
+    def check(self) -> None:
+        """See whether the recordings of those that ended since are whole. Apart from the look at who goes on, which
+        must not wait for the making of files."""
+        for end, told in self._unchecked:
+            end.trouble = self._trouble(end, told)
+        self._unchecked = []
 
     def _over(self, episode_id: str, told: dict[str, Any]) -> None:
         spec = self.running.pop(episode_id)
         end = Ended(episode_id, spec["pacing"], told["status"], told["reason"])
-        end.trouble = self._trouble(end, told)
         self.ended.append(end)
+        self._unchecked.append((end, told))
 
     def _trouble(self, end: Ended, told: dict[str, Any]) -> str | None:
         if end.status == "lost":

@@ -8,7 +8,7 @@ import resource
 import signal
 import sqlite3
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -177,12 +177,18 @@ PLANNER_ONLY = ("planner",)
 """Rows in which physics by the clock must go on all the time."""
 
 
-def shuffled(count: int, seed: int) -> list[Fault]:
-    """So many faults in seeded random order; every one comes before any comes twice."""
+def shuffled(count: int, seed: int, rows: Collection[str] | None = None) -> list[Fault]:
+    """So many faults, of these rows or of all, in seeded random order; every one comes before any comes twice.
+
+    Raises ValueError where there are none.
+    """
     draw = random.Random(seed)
+    wanted = [fault for fault in FAULTS if rows is None or fault.row in rows]
+    if not wanted:
+        raise ValueError(f"no faults of {rows}: there are {sorted({fault.row for fault in FAULTS})}")
     out: list[Fault] = []
     while len(out) < count:
-        round_ = list(FAULTS)
+        round_ = list(wanted)
         draw.shuffle(round_)
         out += round_
     return out[:count]

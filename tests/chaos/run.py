@@ -21,13 +21,15 @@ import httpx
 import numpy as np
 
 from tests.chaos.arena import Arena, StuckError
-from tests.chaos.faults import PLANNER_ONLY, Fault, Scene, shuffled
+from tests.chaos.faults import FAULTS, PLANNER_ONLY, Fault, Scene, shuffled
+from tests.chaos.processor import most_waited_s, waits
 from tests.chaos.stack import ChaoticStack
 from tests.orchestrator.support import kept_up
 
 LOOK_S, STILL_LOOKS = 0.3, 8
 """Physics by the clock that shows the same tick so often stands still. Looks are counted, as on a slow machine the
 looking takes longer too."""
+ROWS = tuple(dict.fromkeys(fault.row for fault in FAULTS))
 
 
 def chaos(faults: Sequence[Fault], seed: int, data_dir: Path, most_s: float, say: Any = print) -> dict[str, Any]:
@@ -78,9 +80,12 @@ def _one(scene: Scene, fault: Fault) -> dict[str, Any]:
         fault.make(scene)
         if watch is not None:
             entry["stood_still"] = watch.stop()
-        since = arena.look() if fault.row != "orchestrator" else None
+        pids = [process.pid for process in scene.stack.processes()]
+        since, before = arena.look() if fault.row != "orchestrator" else None, waits(pids)
         entry["recovered_s"] = round(arena.wait(arena.going(since), f"all go on after: {fault.name}"), 2)
+        entry["no_processor_s"] = round(most_waited_s(before, waits(pids)), 2)
         entry["since_fault_s"] = round(time.monotonic() - began_s, 2)
+        arena.check()
     except (StuckError, AssertionError, httpx.HTTPError) as error:
         entry["trouble"] = f"{type(error).__name__}: {error}"
     finally:
@@ -124,19 +129,23 @@ class _Watch:
 
 
 def report(made: list[dict[str, Any]], arena: Arena, seed: int, took_s: float) -> dict[str, Any]:
-    """What has come of it.
+    """What has come of it. `recovery`: seconds until all went on, and for how many of them at most a thread of the four
+    processes was ready to run and had no processor.
 
     `lost`, `stuck`, `wrong_recordings` and `stood_still` must be empty.
     """
     by_row: dict[str, list[float]] = defaultdict(list)
+    unserved: dict[str, list[float]] = defaultdict(list)
     for entry in made:
         if "recovered_s" in entry:
             by_row[entry["row"]].append(entry["recovered_s"])
+            unserved[entry["row"]].append(entry["no_processor_s"])
     rows = {
         row: {
             "faults": len(seconds),
             **{f"p{q}_s": round(float(np.percentile(seconds, q)), 2) for q in (50, 95)},
             "most_s": max(seconds),
+            "no_processor_p95_s": round(float(np.percentile(unserved[row], 95)), 2),
         }
         for row, seconds in sorted(by_row.items())
     }
@@ -167,10 +176,12 @@ def main() -> int:
     parser.add_argument("--faults", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--rows", default=",".join(ROWS), help="of the fault table, with commas between them")
     parser.add_argument("--json", type=Path, default=Path("out/chaos.json"))
     given = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="chaos-") as folder:
-        found = chaos(shuffled(given.faults, given.seed), given.seed, Path(folder), 60.0 * given.minutes)
+        faults = shuffled(given.faults, given.seed, given.rows.split(","))
+        found = chaos(faults, given.seed, Path(folder), 60.0 * given.minutes)
     given.json.parent.mkdir(parents=True, exist_ok=True)
     given.json.write_text(json.dumps(found, indent=1))
     print(json.dumps({name: value for name, value in found.items() if name != "made"}, indent=1))
