@@ -5,15 +5,18 @@ from __future__ import annotations
 import os
 import sys
 
+from shared.ending import Ending
 
-def main() -> int:
-    """Exit code: 0 after a signal, 2 when the service cannot start."""
+
+def main() -> None:
+    """Ends with exit code 0 after a signal, 2 when the service cannot start."""
+    ending = Ending()
     for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     from planner_service.service.run import run  # after the variables, which numpy reads when it is loaded
 
-    return run(sys.argv[1:])
+    ending.leave(run(sys.argv[1:], ending))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -11,8 +11,9 @@ from typing import Any
 
 import typer
 
-from orchestrator.cli.common import console
+from orchestrator.cli.common import console, ending_on_sigterm
 
+TERMINATED = 143
 PASS_THROUGH = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
 """Typer context in which every option goes through to the module."""
 
@@ -24,22 +25,23 @@ def run_module(module: str, arguments: Sequence[str]) -> None:
 
 
 def run_quietly(module: str, arguments: Sequence[str]) -> int:
-    """The exit code of `python -m module arguments`; 130 after Ctrl-C.
+    """The exit code of `python -m module arguments`; 130 after Ctrl-C, 143 after SIGTERM.
 
     The module is in a process group of its own: Ctrl-C reaches it as the SIGTERM that it ends cleanly on, and not as an
-    exception in the middle of its imports.
+    exception in the middle of its imports. Neither leaves it behind.
     """
-    process = subprocess.Popen([sys.executable, "-m", module, *arguments], process_group=0)
-    try:
-        return process.wait()
-    except KeyboardInterrupt:
-        process.terminate()
-        process.wait()
-        return 130
-    except BaseException:  # e.g. SIGTERM, which ends us as SystemExit
-        process.terminate()
-        process.wait()
-        raise
+    with ending_on_sigterm():
+        process = subprocess.Popen([sys.executable, "-m", module, *arguments], process_group=0)
+        try:
+            return process.wait()
+        except (KeyboardInterrupt, SystemExit) as told:
+            process.terminate()
+            process.wait()
+            return 130 if isinstance(told, KeyboardInterrupt) else TERMINATED
+        except BaseException:
+            process.terminate()
+            process.wait()
+            raise
 
 
 def module_json(module: str, arguments: Sequence[str]) -> dict[str, Any]:

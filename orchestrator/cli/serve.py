@@ -10,7 +10,7 @@ from types import FrameType
 from rich.console import Console
 
 from orchestrator.api.listener import check_port
-from orchestrator.cli.delegate import run_quietly
+from orchestrator.cli.delegate import TERMINATED, run_quietly
 from orchestrator.core.keeper import Keeper
 from orchestrator.core.supervise import Stack, StackOptions
 from orchestrator.store.lock import check_free
@@ -28,8 +28,8 @@ def _stop(signum: int, frame: FrameType | None) -> None:
 
 
 def serve_one(name: str, arguments: list[str]) -> int:
-    """Run one service in this terminal, with its own arguments; signals reach it too."""
-    return 0 if (code := run_quietly(MODULES[name], arguments)) == 130 else code
+    """Run one service in this terminal, with its own arguments. A signal ends it too: exit code 0 then."""
+    return 0 if (code := run_quietly(MODULES[name], arguments)) in (130, TERMINATED) else code
 
 
 def serve_all(options: StackOptions, console: Console) -> int:

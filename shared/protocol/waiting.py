@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from typing import Any
 
 from shared.errors import MotionLoopError
 from shared.protocol.base import Message
@@ -43,7 +44,8 @@ class Waiting:
         if self._again is None or self._again.done():
             self._again = asyncio.get_running_loop().create_future()
         # Waiting ends with the first: a reply, or the news that the peer is there again.
-        await asyncio.wait({future, self._again}, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
+        either: set[asyncio.Future[Any]] = {future, self._again}
+        await asyncio.wait(either, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
         if future.done():
             return future.result()
         if not self._again.done():

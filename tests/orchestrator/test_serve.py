@@ -10,6 +10,7 @@ import sys
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 
 from orchestrator.api.listener import bind
@@ -45,6 +46,23 @@ def test_a_second_server_on_a_data_folder_is_refused_before_anything_starts(tmp_
         with pytest.raises(ConflictError):
             check_free(tmp_path / "data")
     check_free(tmp_path / "data")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_service_alone_ends_with_the_command_that_serves_it(number: signal.Signals) -> None:
+    command = [sys.executable, "-m", "motionloop", "serve", "planner", "--endpoint", "tcp://127.0.0.1:0"]
+    process = subprocess.Popen([*command, "--plugins", "stand"], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        assert "ready" in process.stdout.readline()
+        (service,) = psutil.Process(process.pid).children()
+        process.send_signal(number)
+        process.communicate(timeout=GIVE_UP_S)
+        assert process.returncode == 0
+        assert not service.is_running()
+    finally:
+        process.kill()
+        process.communicate()
 
 
 def test_a_taken_port_is_named_with_what_to_do(tmp_path: Path) -> None:
