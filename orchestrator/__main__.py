@@ -5,14 +5,17 @@ from __future__ import annotations
 import argparse
 import sys
 
-from orchestrator.api.server import serve
-from orchestrator.api.settings import OrchestratorSettings
-from shared.console import EXPECTED, as_ours
-from shared.settings import add_arguments, load_settings
+from shared.ending import Ending
 
 
 def main() -> int:
     """Serve until SIGTERM or Ctrl-C. Exit code 2 when the settings are refused, or it cannot start."""
+    Ending()  # until `serve` takes the signals itself
+    from orchestrator.api.server import serve
+    from orchestrator.api.settings import OrchestratorSettings
+    from shared.console import EXPECTED, as_ours
+    from shared.settings import add_arguments, load_settings
+
     parser = argparse.ArgumentParser(prog="orchestrator", description="motionloop's HTTP server")
     add_arguments(parser, OrchestratorSettings)
     try:

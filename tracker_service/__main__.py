@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-
-from tracker_service.service.main import main
+from shared.ending import Ending
 
 if __name__ == "__main__":
-    sys.exit(main())
+    ending = Ending()
+    from tracker_service.service.main import main  # a signal that comes meanwhile counts too
+
+    ending.leave(main(ending))
