@@ -10,7 +10,6 @@ from shared.ending import Ending
 
 def main() -> int:
     """Serve until SIGTERM or Ctrl-C. Exit code 2 when the settings are refused, or it cannot start."""
-    Ending()  # until `serve` takes the signals itself
     from orchestrator.api.server import serve
     from orchestrator.api.settings import OrchestratorSettings
     from shared.console import EXPECTED, as_ours
@@ -30,4 +29,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    ending = Ending()  # until `serve` takes the signals itself
+    ending.leave(main())

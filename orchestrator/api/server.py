@@ -6,6 +6,7 @@ import asyncio
 import signal
 import socket
 import sys
+from collections.abc import Callable
 from types import FrameType
 
 import uvicorn
@@ -17,9 +18,20 @@ from orchestrator.store.lock import FolderLock
 from shared.spans import recorder_of, recording
 from shared.tracing import configure_logging
 
+GRACE_S = 3
+"""For requests under way at the end; `docker compose` kills after 5 s."""
+
 
 class _Server(uvicorn.Server):
-    """Says where it listens once it does (the port may have been chosen by the system)."""
+    """Says where it listens once it does (the port may have been chosen by the system).
+
+    Args:
+        end_streams: called at the end, before it waits for requests: streams last as long as what they show.
+    """
+
+    def __init__(self, config: uvicorn.Config, end_streams: Callable[[], None]):
+        super().__init__(config)
+        self._end_streams = end_streams
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
@@ -28,9 +40,17 @@ class _Server(uvicorn.Server):
             sys.stdout.write(f"ready http://{host}:{port}\n")
             sys.stdout.flush()
 
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._end_streams()
+        await super().shutdown(sockets)
+
+
+class _Ended(SystemExit):
+    """A signal asked to end."""
+
 
 def _end(number: int, frame: FrameType | None) -> None:
-    raise SystemExit(0)
+    raise _Ended(0)
 
 
 def serve(settings: OrchestratorSettings) -> None:
@@ -48,14 +68,17 @@ def serve(settings: OrchestratorSettings) -> None:
     try:
         with recording(recorder_of("orchestrator")), FolderLock(settings.data_dir):
             asyncio.run(_serve(settings, listener))
+    except _Ended:
+        return
     finally:
         listener.close()
 
 
 async def _serve(settings: OrchestratorSettings, listener: socket.socket) -> None:
-    app = create_app(settings, await open_orchestrator(settings))
+    core = await open_orchestrator(settings)
+    app = create_app(settings, core)
     config = uvicorn.Config(
         app, host=settings.host, port=settings.port, log_level="warning", log_config=None, lifespan="on",
-        timeout_graceful_shutdown=5, ws_ping_interval=20.0, ws_max_queue=32,
+        timeout_graceful_shutdown=GRACE_S, ws_ping_interval=20.0, ws_max_queue=32,
     )  # fmt: skip
-    await _Server(config).serve(sockets=[listener])
+    await _Server(config, core.end_streams).serve(sockets=[listener])

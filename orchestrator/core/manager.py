@@ -130,6 +130,15 @@ class Orchestrator:
         await self.services.close()
         await self.reader.close()
 
+    def end_streams(self) -> None:
+        """End whatever is streamed to viewers: the server is about to end."""
+        for character in self.characters.values():
+            character.events.close()
+            character.states.close()
+        for episode in self.episodes.values():
+            episode.runner.events.close()
+            episode.runner.session.states.close()
+
     # --- characters ---
 
     async def create_character(self, spec: CharacterSpec) -> CharacterSession:

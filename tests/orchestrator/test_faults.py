@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import httpx
 import psutil
 
 from orchestrator.client import Client
@@ -75,10 +76,16 @@ def test_a_killed_planner_leaves_the_physics_running_until_the_episodes_limit(tm
 def test_a_stopped_orchestrator_ends_cleanly_and_the_services_wait_for_the_next(tmp_path: Path) -> None:
     with Stack(light(tmp_path)) as stack:
         with Client(stack.url) as client:
-            wait_for_phase(client, client.episode(LONG, pacing="realtime").id, "acting")
+            episode_id = client.episode(LONG, pacing="realtime").id
+            wait_for_phase(client, episode_id, "acting")
         orchestrator = stack.orchestrator
         assert orchestrator is not None
-        os.kill(orchestrator.pid, signal.SIGTERM)
+        with httpx.stream("GET", f"{stack.url}/v1/episodes/{episode_id}/events", timeout=150.0) as stream:
+            lines = stream.iter_lines()
+            assert next(lines)
+            os.kill(orchestrator.pid, signal.SIGTERM)
+            for _ in lines:  # to its end: it is not cut off in the midst of what it says
+                continue
         wait_for(lambda: orchestrator.exit_code is not None, "it ends")
         assert orchestrator.exit_code == 0
         for process, kind in ((stack.planner, "planner"), (stack.tracker, "tracker")):
