@@ -159,11 +159,11 @@ class CharacterLoop:
         self._build = build("human")
         self._may_be_low = (-1, False)
         self.plans_made = 0
+        self.on_plan: list[Callable[[Plan], None]] = []  # called with each plan that the tracker has accepted
         self.trace_id: str | None = None
         """Of the newest command's request: goes along with the plans made for it."""
         self.last_plan: Plan | None = None
-        self.has_plan = False
-        """Whether the tracker follows a plan of ours."""
+        self.has_plan = False  # whether the tracker follows a plan of ours
 
     async def reset(self, position_w_m: tuple[float, float] | None = None) -> StateFrame:
         """Stand the character up, where it is or at a place. What was planned and done before says nothing about it any
@@ -231,10 +231,8 @@ class CharacterLoop:
 
     async def ticks(self, start_tick: int, stop_tick: int, rate_hz: int, reference: bool = False) -> TickRange:
         """A range of the tracker's log (at most 4096 samples)."""
-        request = GetTicks.model_validate(
-            {"start_tick": start_tick, "stop_tick": stop_tick, "rate_hz": rate_hz, "include_reference": reference}
-        )
-        return await self.ask_tracker(TickRange, request)
+        asked = {"start_tick": start_tick, "stop_tick": stop_tick, "rate_hz": rate_hz, "include_reference": reference}
+        return await self.ask_tracker(TickRange, GetTicks.model_validate(asked))
 
     async def make_plan(self, goal: PlanGoal, now_tick: int, start_tick: int) -> Plan:
         """Ask the planner for the motion from `start_tick` on; the character is at `now_tick` <= start_tick.
@@ -255,8 +253,8 @@ class CharacterLoop:
                 raise
             raise UnavailableError(f"the planner has become another one: {error.message}") from error
         self.plans_made += 1
-        low = asks_low(plan.understood or goal.text) if goal.may_be_low is None else goal.may_be_low
-        self._may_be_low = (start_tick, low)
+        low = goal.may_be_low
+        self._may_be_low = (start_tick, asks_low(plan.understood or goal.text) if low is None else low)
         if self._build.skeleton_id == plan.skeleton:
             return plan
         own = self._build.from_canonical(plan.positions_w_m)
@@ -302,6 +300,8 @@ class CharacterLoop:
                 self._buffer = self._buffer.at_rate(plan.fps)
             self._buffer.put(frame_of_tick(plan.start_tick, plan.fps) + 1, plan.positions_w_m)
             self.last_plan, self.has_plan = plan, True
+            for heard in self.on_plan:
+                heard(plan)
         return reply
 
     async def _request(self, spec: PlannerSpec, goal: PlanGoal, now_tick: int, start_tick: int) -> PlanRequest:

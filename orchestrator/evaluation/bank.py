@@ -30,13 +30,16 @@ from orchestrator.evaluation.rows import Measured
 from orchestrator.evaluation.tasks import episode_spec
 from shared.data.props import Seat
 from shared.errors import UnavailableError
-from shared.protocol.messages import TICK_HZ, StateFrame
+from shared.motion.resampling import resample
+from shared.protocol.messages import TICK_HZ, Plan, StateFrame
 from shared.scenes.placing import mark_place
 from shared.scenes.schema import Scene
 from shared.tasks.builtin import ReachTask
-from shared.tasks.interface import BodyView
+from shared.tasks.interface import BodyView, Trace
+from shared.tasks.object_specs import StrikeSpec
 from shared.tasks.places import USUAL_HALF_SIZE_M
 from shared.tasks.specs import ReachSpec
+from shared.tasks.strike import GOING_RAD
 
 Array = npt.NDArray[np.float32]
 
@@ -55,6 +58,8 @@ TASKS_LOST_M = 0.6
 """Where a task fails its plan is kept for a while after the body was lost: that is what is to be learnt."""
 EDGE_M = Seat((0.0, 0.0, 0.0), 0.0).size_m[0] / 2
 """The place to sit that trackers are trained with lies so far behind a seat's front edge."""
+BESIDE, BESIDE_M, BESIDE_TICKS = "beside", 1.4, 45
+"""So near to what is struck plans are kept, and so many of their ticks: later a body that is held up is far behind."""
 SEAT_MARK = "seat_centre"
 WIDE_M = 0.5
 
@@ -137,6 +142,25 @@ def seat_of(scene: Scene, reference_w_m: Array) -> Array | None:
     return np.array([*xy, place.position_w_m[2], place.heading_rad, float(half[1] > WIDE_M)], dtype=np.float32)
 
 
+def plans_beside(plans: Sequence[Plan], trace: Trace, bag: str) -> list[tuple[Array, Array]]:
+    """Plans made within reach of an object that stood, as pieces (T, 22, 3) at 30 Hz from the body's own pose on, each
+    with (5,) x and y of the object and the way its axis pointed as the plan began."""
+    if trace.world is None:
+        return []
+    position, axis = trace.world.position_m(bag), trace.world.axis(bag)
+    out = []
+    for plan in plans:
+        row = plan.start_tick - trace.start_tick
+        if not 0 <= row < len(trace) or trace.fallen[row] or axis[row, 2] < np.cos(GOING_RAD):
+            continue
+        body = trace.pos_w_m[row]
+        if np.linalg.norm(body[0, :2] - position[row, :2]) < BESIDE_M:
+            frames = np.concatenate([body[None], plan.positions_w_m])
+            piece = resample(frames, plan.fps, TICK_HZ)[:BESIDE_TICKS].astype(np.float32)
+            out.append((piece, np.append(position[row, :2], axis[row]).astype(np.float32)))
+    return out
+
+
 async def record_tasks(
     services: Services,
     out: Path,
@@ -150,7 +174,8 @@ async def record_tasks(
 ) -> dict[str, Any]:
     """Record episodes of `eval tasks`, every second with sizes and heights varied, one .npz a stretch.
 
-    Beside `positions_w_m` each file of a scene with a seat holds `seat` (5,), see `seat_of`.
+    Beside `positions_w_m` each file of a scene with a seat holds `seat` (5,), see `seat_of`. Of what is struck the
+    plans made beside it are pieces too, `bag` (5,) with them, see `plans_beside`.
 
     Returns:
         {pieces, minutes, episodes, done}.
@@ -165,16 +190,27 @@ async def record_tasks(
     async def one(task: str, index: int) -> None:
         spec = episode_spec((task, index), Measured(seed, "closed_loop", planner, tracker, index % 2 == 1))
         runner = EpisodeRunner(str(uuid.uuid4()), spec, services, EventLog())
+        plans: list[Plan] = []
+        runner.session.loop.on_plan.append(plans.append)
         async with gate:
             outcome = await runner.run()
             if not runner.session.created:
                 raise UnavailableError(f"{task} {index} did not begin: {outcome.reason}")
             try:
                 log = await runner.session.loop.ticks(0, runner.tick, TICK_HZ, reference=True)
+                trace = await runner.session.loop.trace(0, runner.tick)
             finally:
                 await runner.session.close()
         reference = np.asarray(log.reference_pos_w_m, dtype=np.float32)
         found = pieces(reference, np.asarray(log.tracking_error_m), np.asarray(log.fallen, dtype=bool), TASKS_LOST_M)
+        struck, scene = spec.tasks[-1], spec.scene
+        bag = scene.marks[struck.mark].body if isinstance(struck, StrikeSpec) and isinstance(scene, Scene) else None
+        if bag is not None:
+            for number, (piece, place) in enumerate(plans_beside(plans, trace, bag)):
+                name = f"{BESIDE}_{seed}_{index:04d}_{number}.npz"
+                np.savez_compressed(out / name, positions_w_m=piece, bag=place)
+                total["pieces"] += 1
+                total["ticks"] += len(piece)
         seat = seat_of(spec.scene, reference) if isinstance(spec.scene, Scene) else None
         for number, piece in enumerate(found):
             known: dict[str, Any] = {} if seat is None else {"seat": seat}

@@ -27,13 +27,14 @@ TASKS: dict[str, list[dict[str, Any]]] = {
     "velocity": [{"type": "velocity", "relative_mps": (1.0, 0.0)}],
     "strike": [{"type": "strike"}],
     "sit": [{"type": "sit"}],
-    "get_up": [{"type": "sit"}, {"type": "get_up"}],
+    "get_up": [{"type": "sit", "retries": 2}, {"type": "get_up"}],
     "get_up_floor": [
         {"type": "text", "text": "a person lies down on the floor.", "duration_s": 4},
         {"type": "get_up", "from": "floor"},
     ],
 }
-"""What an episode of each holds; the last task is the one that counts."""
+"""What an episode of each holds; the last task is the one that counts. Who is to get up may try thrice to sit down
+first: whether the first try succeeds is what `sit` measures."""
 
 
 @dataclass(frozen=True)

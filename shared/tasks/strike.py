@@ -21,7 +21,7 @@ from shared.tasks.interface import BodyView, PlanGoal, Status, Task, Trace, Verd
 from shared.tasks.object_specs import Limb, StrikeSpec
 from shared.tasks.places import MarkedObject, marked_object
 from shared.tasks.specs import HaltSpec
-from shared.tasks.touching import Upright, worth_of_blow
+from shared.tasks.touching import Tipping, Upright, worth_of_blow
 from shared.tasks.walking import STILL_MPS, Walk, step_to
 
 Array = npt.NDArray[np.float64]
@@ -77,6 +77,8 @@ BLOW_HOLD_TICKS, PUSH_HOLD_TICKS = 42, 15
 with the wind-up again."""
 GOING_RAD = 0.30
 """Beyond this lean, well past its edge, the bag goes down by itself."""
+LEAN_TICKS = 2
+"""Over so long the rate of its lean is told."""
 LANDED_S = 0.5
 """So long after a blow should have landed the next one is thought of."""
 TURN_FROM_RAD = 0.5
@@ -106,6 +108,8 @@ class StrikeTask(Task):
         self._lands_tick: int | None = None
         self._hit_tick: int | None = None
         self._blow_tick, self._felt = 0, False
+        self._tipping: Tipping | None = None
+        self._leans = (0.0, 0.0)
         self._stood, self._way = np.zeros(3), np.zeros(2)
         self._blows = 0
         self._pace = Pace()
@@ -140,6 +144,8 @@ class StrikeTask(Task):
         self._bag = marked_object(view, self._spec.mark)
         self._stand.start(view)
         self._lands_tick, self._hit_tick, self._blows = None, None, 0
+        body = self._bag.scene.body(self._bag.object)
+        self._tipping, self._leans = None if body is None else Tipping.of(body), (0.0, 0.0)
         self._walking = False
         self._pace.forget()
 
@@ -157,7 +163,7 @@ class StrikeTask(Task):
         moving = mps is not None and mps > STILL_MPS * view.scale
         spec, bag = self._spec, self._known()
         pose = view.objects.get(bag.object)
-        if pose is not None and float(object_rules.tilt_rad(pose)) >= GOING_RAD:
+        if pose is not None and self._goes(float(object_rules.tilt_rad(pose))):
             return None
         place = bag.place(view).position_w_m.astype(np.float64)
         if self._lands_tick is not None:
@@ -198,6 +204,12 @@ class StrikeTask(Task):
         """A distance or time of the spec, or what suits the limb."""
         own = getattr(self._spec, name)
         return float(getattr(self._range, name) if own is None else own)
+
+    def _goes(self, lean_rad: float) -> bool:
+        """Whether it goes down by itself: past its edge, or fast enough to get there."""
+        last_rad, rate_radps = self._leans
+        moving = self._tipping is not None and self._tipping.goes(max(lean_rad, last_rad), rate_radps)
+        return lean_rad >= GOING_RAD or moving
 
     def _was_hit(self, place: Array, pose: Array | None) -> bool:
         """Felt in the limb, or seen: a heavy object that a kick meets low does not move."""
@@ -250,6 +262,7 @@ class StrikeTask(Task):
 
     def _push(self, view: BodyView, plan_tick: int) -> PlanGoal:
         """Walk on into what was hit, a hand ahead: the one that hit it, or that of the same side as the foot."""
+        self._aim(view)
         x, y, _ = (float(v) for v in self._through(0.0, PUSH_M * view.scale))
         far_m = float(np.linalg.norm(np.array([x, y]) - view.pelvis_xy_m)) / view.scale
         since_s = (plan_tick - (self._hit_tick or plan_tick)) / TICK_HZ
@@ -269,12 +282,24 @@ class StrikeTask(Task):
             hold_ticks=PUSH_HOLD_TICKS,
         )
 
+    def _aim(self, view: BodyView) -> None:
+        """Through where the object is now, not where it was: a body that goes straight on slips past it."""
+        place = self._known().place(view).position_w_m.astype(np.float64)
+        away = place[:2] - view.pelvis_xy_m
+        if float(away @ self._way) > 0:
+            self._stood = np.array([*place[:2], self._stood[2]])
+            self._way = away / max(float(np.linalg.norm(away)), 1e-6)
+
     def _facing(self, arrival_tick: int) -> HeadingTarget:
         return HeadingTarget(heading_rad=atan2(self._way[1], self._way[0]), arrival_tick=arrival_tick)
 
     def status(self, trace: Trace) -> Status:
         """Done when the bag is down and the limb was first; failed when it is down by anything else."""
         blow = self._judged(trace)
+        if trace.world is not None and blow is not None and len(trace) > LEAN_TICKS:
+            bag = trace.world.objects.index(self._known().object)
+            before, now = object_rules.tilt_rad(trace.world.pose_w[[-1 - LEAN_TICKS, -1], bag])
+            self._leans = float(now), float(now - before) * TICK_HZ / LEAN_TICKS
         if trace.world is not None and blow is not None and self._lands_tick is not None:
             limb = trace.world.impulse_ns(self._known().object, object_rules.LIMBS[self._spec.limb])
             self._felt |= bool((limb[max(self._blow_tick - trace.start_tick, 0) :] > 0).any())

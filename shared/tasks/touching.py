@@ -24,6 +24,10 @@ LEAD_S = 0.3
 SPEED_S = 0.04
 """Over so long the speed of a touch is told."""
 CLUMSY = -10.0
+GRAVITY_MPS2 = 9.81
+SLENDER = 4.0 / 3.0
+"""Moment of inertia of a slender body about its end, as against all its mass at the centre."""
+TO_SPARE = 1.5
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,35 @@ class Upright:
         radius, low, high = self.cylinders_m.T
         beside = (height > low - radii_m[:, None]) & (height < high + radii_m[:, None])
         return np.asarray(np.where(beside, away - radius - radii_m[:, None], np.inf).min(axis=-1))
+
+
+@dataclass(frozen=True)
+class Tipping:
+    """What leans as a pendulum that stands on its lower edge.
+
+    Attributes:
+        edge_rad: the lean at which its centre of mass is over the edge. arm_m: from the edge to that centre.
+    """
+
+    edge_rad: float
+    arm_m: float
+
+    @classmethod
+    def of(cls, body: SceneBody) -> Tipping:
+        """Of a body of a scene that stands as its file has it; parts without a mass weigh by their volume."""
+        solids = np.array([_cylinder(part) for part in body.parts])
+        radius, low, high = solids.T
+        volumes = radius**2 * (high - low)
+        weights = np.array([part.mass_kg or volume for part, volume in zip(body.parts, volumes, strict=True)])
+        up = float(np.average((low + high) / 2, weights=weights) - low.min())
+        out = float(radius[np.argmin(low)])
+        return cls(float(np.arctan2(out, up)), float(np.hypot(out, up)))
+
+    def goes(self, lean_rad: float, rate_radps: float) -> bool:
+        """Whether it goes down by itself: it has what it takes to get over its edge, and some more."""
+        left = max(self.edge_rad - lean_rad, 0.0)
+        wanted = 2.0 * GRAVITY_MPS2 * (1.0 - np.cos(left)) / (SLENDER * self.arm_m)
+        return bool(rate_radps > 0 and rate_radps**2 > TO_SPARE * wanted)
 
 
 def worth_of_blow(positions_w_m: Array, fps: float, scale: float, solid: Upright, limb: Sequence[str]) -> float:

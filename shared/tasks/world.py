@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.errors import InvalidInputError
+from shared.motion.rotations import matrix_from_quat
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import FLOOR
 
@@ -39,6 +40,10 @@ class World:
     def position_m(self, name: str) -> Array:
         """(T, 3) where an object was; raises InvalidInputError listing the names."""
         return self.pose_w[:, self._index(name), :3]
+
+    def axis(self, name: str) -> Array:
+        """(T, 3) the way an object's own Z pointed; raises InvalidInputError listing the names."""
+        return matrix_from_quat(self.pose_w[:, self._index(name), 3:])[..., 2]
 
     def impulse_ns(self, name: str, joints: Sequence[str] | None = None) -> Array:
         """(T,) normal impulse at every tick between some joints' bodies (None: any) and an object, or the `floor`.

@@ -11,9 +11,20 @@ import numpy as np
 
 from orchestrator.core.services import Services, connect
 from orchestrator.core.supervise import Stack
-from orchestrator.evaluation.bank import LEAST_TICKS, pieces, record_bank, record_tasks, seat_of
-from shared.motion.ik import standing_clip
+from orchestrator.evaluation.bank import (
+    BESIDE_TICKS,
+    LEAST_TICKS,
+    pieces,
+    plans_beside,
+    record_bank,
+    record_tasks,
+    seat_of,
+)
+from shared.motion.ik import clip_from_positions, standing_clip
+from shared.protocol.messages import Plan
 from shared.scenes.files import load_scene
+from shared.tasks.interface import Trace
+from shared.tasks.world import World
 from tests.orchestrator.support import light
 
 
@@ -85,3 +96,27 @@ def test_the_place_to_sit_is_behind_the_edge_where_the_body_is_lowest() -> None:
     # The sofa stands at (-1.4, 0) and looks along X: its edge is at -1.4 + 0.1 + 0.33.
     np.testing.assert_allclose(seat, [-0.97 - 0.2, 0.7, 0.344, 0.0, 1.0], atol=1e-6)
     assert seat_of(load_scene("flat"), body) is None
+
+
+def test_plans_beside_what_stands_are_kept_from_the_bodys_pose_on() -> None:
+    stand = standing_clip(90, 30).positions_w_m
+    pose = np.zeros((90, 1, 7))
+    pose[..., 0], pose[..., 3] = 1.0, 1.0
+    pose[60:, 0, 3:] = [np.cos(0.5), 0.0, np.sin(0.5), 0.0]  # over: leaning by a radian
+    none = np.zeros(0, dtype=np.int64)
+    world = World(("bag",), pose, np.zeros((90, 1, 6)), none, none, none, np.zeros(0))
+    trace = Trace(0, stand, np.zeros(90, dtype=bool), world)
+    ahead = np.repeat(stand[:1], 40, axis=0) + np.array([0.5, 0.0, 0.0])
+    turns = clip_from_positions(ahead, 20, rebuild=True).rotations_6d
+    plans = [
+        Plan(planner="own", start_tick=tick, positions_w_m=ahead.astype(np.float32), rotations_6d=turns)
+        for tick in (15, 75)
+    ]
+    ((piece, bag),) = plans_beside(plans, trace, "bag")
+    np.testing.assert_allclose(bag, [1.0, 0.0, 0.0, 0.0, 1.0], atol=1e-6)
+    assert piece.shape == (BESIDE_TICKS, 22, 3)
+    np.testing.assert_allclose(piece[0], stand[15], atol=1e-6)
+    np.testing.assert_allclose(piece[-1], ahead[-1], atol=1e-6)
+    pose[..., 0] = 5.0
+    assert plans_beside(plans, Trace(0, stand, trace.fallen, world), "bag") == []
+    assert plans_beside(plans, Trace(0, stand, trace.fallen), "bag") == []

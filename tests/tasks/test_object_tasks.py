@@ -65,16 +65,21 @@ def test_what_was_hit_is_gone_through_until_it_goes_down(limb: str) -> None:
     task = make_task(StrikeSpec.model_validate({"limb": limb}), 0)
     task.start(view("bag", 1.15))
     task.goal(view("bag", 1.15), 0)
-    # 0.7 m in all, from 0.7 m/s on, by 0.15 m/s faster each second, at most 1 m/s.
-    for tick, lean, lasts in ((15, 0.05, 30), (30, 0.2, round(0.7 / 0.775 * 30)), (90, 0.2, 21)):
+    # 0.7 m and what the mark has leant away, from 0.7 m/s on, by 0.15 m/s faster each second, at most 1 m/s.
+    for tick, lean, mps in ((15, 0.05, 0.7), (30, 0.2, 0.775), (90, 0.2, 1.0)):
+        leant = 0.9 * np.sin(lean)
         hit = leaning_bag(view("bag", 1.9, tick=tick), lean)
         goal = task.goal(hit, tick)
         root, hand = goal.targets
         assert (root.joint, hand.joint) == ("traj", f"{limb.split('_')[0]}_wrist")
-        assert root.position_w_m == pytest.approx((2.6, 0.0, 0.0))
-        assert hand.position_w_m == pytest.approx((3.05, 0.0, 1.3))
-        assert root.arrival_tick == hand.arrival_tick == tick + lasts
+        assert root.position_w_m == pytest.approx((2.6 + leant, 0.0, 0.0))
+        assert hand.position_w_m == pytest.approx((3.05 + leant, 0.0, 1.3))
+        assert root.arrival_tick == hand.arrival_tick == tick + round((0.7 + leant) / mps * 30)
         assert "walking forward" in str(goal.text)
+    # Who has slipped to its side goes through where it is, not on past it; who has passed it keeps the way.
+    root = task.goal(view("bag", 1.6, 0.3, tick=96), 96).targets[0]
+    assert root.position_w_m == pytest.approx((2.0 + 0.6 * 0.8, -0.6 * 0.6, 0.0))
+    assert task.goal(view("bag", 2.6, 0.3, tick=102), 102).targets[0].position_w_m == pytest.approx(root.position_w_m)
     assert task.goal(leaning_bag(view("bag", 1.3, tick=105), 0.5), 105).text == STAND_TEXT
     # One that rocks back is hit again; what the limb feels counts though nothing moves.
     assert task.goal(view("bag", 1.15, tick=140), 140).targets[0].arrival_tick == 140 + 24
@@ -90,6 +95,19 @@ def touched_world(ticks: int, joint: str, row: int) -> World:
         ("bag",), np.repeat(pose_of(bag)[None, None].astype(np.float64), ticks, axis=0), np.zeros((ticks, 1, 6)),
         np.array([row]), np.array([CANONICAL.index(joint)]), np.array([0]), np.array([9.0]),
     )  # fmt: skip
+
+
+def test_a_bag_that_goes_fast_enough_is_let_go() -> None:
+    task = make_task(StrikeSpec.model_validate({"limb": "right_hand"}), 0)
+    task.start(view("bag", 1.15))
+    task.goal(view("bag", 1.15), 0)
+    for lean_rad, text in ((0.11, "walking forward"), (0.16, STAND_TEXT)):
+        world = touched_world(30, "right_wrist", 25)
+        for row, lean in ((-3, 0.1), (-2, 0.1), (-1, lean_rad)):
+            world.pose_w[row, 0, 3:] = [np.cos(lean / 2), 0.0, np.sin(lean / 2), 0.0]
+        seen = leaning_bag(view("bag", 1.5, tick=45), lean_rad)
+        task.status(Trace(0, np.repeat(STAND[None], 30, axis=0), np.zeros(30, dtype=bool), world))
+        assert text in str(task.goal(seen, 45).text)
 
 
 def leaning_bag(seen: BodyView, lean_rad: float) -> BodyView:

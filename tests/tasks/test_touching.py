@@ -8,7 +8,7 @@ import pytest
 from shared.motion.ik import standing_clip
 from shared.motion.skeleton import CANONICAL
 from shared.scenes.files import load_scene, parse_scene
-from shared.tasks.touching import CLUMSY, RADII_M, Upright, worth_of_blow
+from shared.tasks.touching import CLUMSY, RADII_M, Tipping, Upright, worth_of_blow
 
 STAND = standing_clip(1, 20).positions_w_m[0]
 BAG = Upright.of(load_scene("bag").bodies[0], np.array([0.6, 0.0]))
@@ -68,3 +68,24 @@ def test_boxes_and_balls_are_as_wide_as_their_corners_and_as_high_as_they_are() 
     np.testing.assert_allclose(post.cylinders_m, [[0.5, 0.0, 1.0], [0.3, 1.0, 1.4]])
     gap = post.gap_m(np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 1.2], [0.0, 0.0, 2.0]]), np.array([0.1, 0.1, 0.1]))
     np.testing.assert_allclose(gap, [0.4, 0.6, np.inf])
+
+
+def test_the_bag_goes_down_by_itself_past_its_edge_or_with_the_speed_to_get_there() -> None:
+    bag = Tipping.of(load_scene("bag").bodies[0])
+    # 12 kg in the base at 0.06 m and 51 kg at 0.995 m, on a base of 0.24 m.
+    up = (12 * 0.06 + 51 * 0.995) / 63
+    assert (bag.edge_rad, bag.arm_m) == pytest.approx((np.arctan2(0.24, up), np.hypot(0.24, up)))
+    # Upright it has to gain g (0.852 - 0.817) a kilogram: by hand, 4/3 0.852^2 w^2 / 2 of that is w = 0.84 rad/s.
+    assert not bag.goes(0.0, 0.84) and bag.goes(0.0, 1.15)
+    assert not bag.goes(0.15, 0.2) and bag.goes(0.15, 0.7)
+    assert bag.goes(0.3, 0.05) and not bag.goes(0.3, -0.05)
+
+
+def test_parts_without_a_mass_weigh_by_their_volume() -> None:
+    scene = parse_scene(
+        "name: s\nbodies: [{name: post, position_w_m: [0, 0, 0], mass_kg: 9, parts: ["
+        "{shape: cylinder, size_m: [0.2, 0.5], position_b_m: [0, 0, 0.5]},"
+        " {shape: cylinder, size_m: [0.1, 0.5], position_b_m: [0, 0, 1.5]}]}]"
+    )
+    post = Tipping.of(scene.bodies[0])
+    assert np.tan(post.edge_rad) == pytest.approx(0.2 / ((4 * 0.5 + 1 * 1.5) / 5))

@@ -28,7 +28,7 @@ def test_a_push_gives_the_whole_body_its_momentum() -> None:
     push(env, np.array([1]), np.array([[12.0, -5.0, 3.0]]))
     np.testing.assert_array_equal(env.qvel[0], before[0])
     data = mujoco.MjData(env.model)
-    data.qpos[:], data.qvel[:] = env.qpos[1], env.qvel[1] - before[1]
+    data.qpos[:47], data.qvel[:46] = env.qpos[1], env.qvel[1] - before[1]
     mujoco.mj_forward(env.model, data)
     mujoco.mj_subtreeVel(env.model, data)
     body = env.model.body("pelvis").id

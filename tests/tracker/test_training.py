@@ -148,7 +148,7 @@ class PdStub:
 def test_exploded_states_are_dropped_and_begun_anew(references: ReferenceSet) -> None:
     env = TrackingEnv(HUMANOID, references, SMALL, seed=0)
     env.reset_all()
-    env.state[2, 1 + 47] = 1e9
+    env.state[2, env.first_v] = 1e9
     result = env.step(np.zeros((6, 40), np.float32))
     assert result.exploded.tolist() == [False, False, True, False, False, False]
     assert np.isfinite(result.observation).all()

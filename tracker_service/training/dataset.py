@@ -19,6 +19,7 @@ from shared.protocol.rates import TICK_HZ
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.simulation.kinematics import BodyKinematics, qvel_from_qpos
 from tracker_service.simulation.reference import central_velocity, reference_ticks
+from tracker_service.training.bags import NO_BAG, Bag, lean_of
 from tracker_service.training.seats import NO_SEAT, Seat, lowered, training_model
 
 F32 = npt.NDArray[np.float32]
@@ -30,20 +31,21 @@ JUMP_M = 0.045
 JOB_CLIPS = 50
 LARGEST_CHANGE_RAD = 1.0
 """Arms circled backward and deep squats pass a pole of the shoulder's or hip's three hinges, where the angles jump."""
-PREPARATION = "7"
+PREPARATION = "8"
 """Changes whenever prepared arrays would come out differently; part of the cache's key."""
 
 
 @dataclass(frozen=True)
 class MotionInput:
-    """A clip to prepare: its name, behaviour, sampling weight and joint positions (T, 22, 3) at 30 Hz, and the seat in
-    it, as `training.seats.NO_SEAT` has it."""
+    """A clip to prepare: its name, behaviour, sampling weight and joint positions (T, 22, 3) at 30 Hz, and the seat and
+    the bag in it, as `training.seats.NO_SEAT` and `training.bags.NO_BAG` have them."""
 
     name: str
     behaviour: str
     weight: float
     positions_w_m: npt.NDArray[np.floating]
     seat: Seat = NO_SEAT
+    bag: Bag = NO_BAG
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,7 @@ class ReferenceSet:
         qpos: (N, 7+H). qvel: (N, 6+H).
         start, length: (C,) first tick and number of ticks of each clip. weight: (C,) for sampling.
         names, behaviours: (C,) of each clip. seat: (C, 5) as `training.seats.NO_SEAT`, which is where none is.
+        bag: (C, 5) at each clip's start, as `training.bags.NO_BAG`, which is where none is.
     """
 
     pos_w_m: F32
@@ -68,6 +71,7 @@ class ReferenceSet:
     names: npt.NDArray[np.str_]
     behaviours: npt.NDArray[np.str_]
     seat: npt.NDArray[np.float64]
+    bag: npt.NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.start)
@@ -80,13 +84,15 @@ def seat_in(clip: ClipInfo) -> Seat:
 
 
 def sized(motion: MotionInput, human: Humanoid) -> MotionInput:
-    """A motion of the canonical skeleton as a character has it, seat and all; for `human` it is the motion itself."""
+    """A motion of the canonical skeleton as a character has it, seat, bag and all; for `human` it stays as it is."""
     own = build(human.character.name)
     if own.world_scale == 1.0:
         return motion
     x, y, z = (float(v) for v in own.from_canonical(motion.seat[:3]))
     seat = motion.seat if motion.seat == NO_SEAT else (x, y, z, *motion.seat[3:])
-    return replace(motion, positions_w_m=own.from_canonical(motion.positions_w_m), seat=seat)
+    bx, by, _ = (float(v) for v in own.from_canonical(motion.bag[:3]))
+    bag = motion.bag if motion.bag == NO_BAG else (bx, by, *motion.bag[2:])
+    return replace(motion, positions_w_m=own.from_canonical(motion.positions_w_m), seat=seat, bag=bag)
 
 
 def smooth_stretches(root_w_m: npt.NDArray[np.floating]) -> list[tuple[int, int]]:
@@ -104,7 +110,7 @@ def load_bank(folder: Path) -> list[MotionInput]:
 
     Plans are cut to a few seconds, overlapping, so that failing is noted, and practised, where it happens. They are
     also cut where the pelvis jumps: there the next plan went on from where the body really was, and a body that
-    followed so far cannot follow on.
+    followed so far cannot follow on. A plan made beside a bag is a piece of its own, bag and all.
 
     Raises:
         InvalidInputError: no piece in the folder.
@@ -115,6 +121,11 @@ def load_bank(folder: Path) -> list[MotionInput]:
             whole = data["positions_w_m"]
             behaviour = str(data["behaviour"]) if "behaviour" in data else PLAN
             x, y, top, heading, sofa = (float(v) for v in data["seat"]) if "seat" in data else NO_SEAT
+            bag = data.get("bag")
+        if bag is not None:
+            (bx, by), (about_x, about_y) = (float(v) for v in bag[:2]), (float(v) for v in lean_of(bag[2:]))
+            motions.append(MotionInput(path.stem, PLAN, 1.0, whole, bag=(bx, by, 0.0, about_x, about_y)))
+            continue
         if behaviour != PLAN:
             motions.append(MotionInput(path.stem, behaviour, 1.0, whole))
             continue
@@ -208,6 +219,7 @@ def _prepared(
         names=np.array([m.name for m in motions], dtype=np.str_),
         behaviours=np.array([m.behaviour for m in motions], dtype=np.str_),
         seat=np.array(seats, dtype=np.float64).reshape(-1, 5),
+        bag=np.array([m.bag for m in motions], dtype=np.float64).reshape(-1, 5),
     )
 
 
@@ -221,7 +233,7 @@ def prepare_cached(
     """As `prepare`, kept in `folder` under a hash of the motions and the character."""
     digest = hashlib.sha256((PREPARATION + human.character.model_dump_json()).encode())
     for motion in motions:
-        digest.update(f"{motion.name}|{motion.behaviour}|{motion.weight}|{motion.seat}".encode())
+        digest.update(f"{motion.name}|{motion.behaviour}|{motion.weight}|{motion.seat}|{motion.bag}".encode())
         digest.update(np.ascontiguousarray(motion.positions_w_m, dtype=np.float32).tobytes())
     path = folder / f"references_{digest.hexdigest()[:16]}.npz"
     if path.exists():

@@ -29,9 +29,10 @@ from tracker_service.policy.observations import (
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.simulation.kinematics import BodyKinematics, BodyStates
 from tracker_service.training import rewards
+from tracker_service.training.bags import BAG_DOFS, latest_starts
 from tracker_service.training.dataset import ReferenceSet
 from tracker_service.training.knocks import Knocks
-from tracker_service.training.sampling import FailureTable, kin_of
+from tracker_service.training.sampling import FailureTable, kin_of, slack_of
 from tracker_service.training.seats import CONTROL_SPEC, HEIGHTS, height_points, mocap_of, seat_heights, training_model
 
 F32 = npt.NDArray[np.float32]
@@ -42,15 +43,6 @@ SUBSTEPS = PHYSICS_HZ // TICK_HZ
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 KNOCKED = ("wrist", "elbow", "foot", "knee")
 _TAIL_TICKS = max(PREVIEW_TICKS) + 1
-
-
-FLOOR_SLACK = 2.0
-FLOOR_BEHAVIOURS = ("get_up", "lie_down")
-
-
-def slack_of(behaviours: npt.NDArray[np.str_]) -> npt.NDArray[np.float32]:
-    """(C,) factor on the distances that end an episode: a body on the floor may get up otherwise than it was shown."""
-    return np.where(np.isin(behaviours, FLOOR_BEHAVIOURS), FLOOR_SLACK, 1.0).astype(np.float32)
 
 
 class EnvSettings(BaseModel):
@@ -104,7 +96,7 @@ class StepResult:
         reward: (B,). terminated, truncated, exploded: (B,) how episodes ended.
         final_observation: (B, D) right after the tick, before new episodes and disturbances.
         error_m: (B,) mean joint distance.
-        disturbed: rows of the environments that were disturbed after the tick.
+        disturbed: rows of the environments in which the next tick does not follow from what is observed now.
     """
 
     observation: F32
@@ -148,7 +140,9 @@ class TrackingEnv:
         self.observation_size = observation_size(len(human.skeleton), h) + (HEIGHTS if settings.heights else 0)
         self._feet = (human.skeleton.index("left_foot"), human.skeleton.index("right_foot"))
         self.hinges = h
-        self._nq, self._nv = self.model.nq, self.model.nv
+        self._nq, self._nv = 7 + h, 6 + h
+        self.first_v = 1 + self.model.nq
+        self._latest = latest_starts(references.pos_w_m, references.start, references.length, references.bag)
         self._bodies: BodyStates | None = None
         self._knocks = Knocks(self.model)
         self._limbs = [self.model.body(f"{side}_{part}").id for side in ("left", "right") for part in KNOCKED]
@@ -187,6 +181,7 @@ class TrackingEnv:
     def _begin(self, rows: Ints) -> None:
         rng, s, n = self.rng, self.settings, len(rows)
         clips, times = self.failures.draw(rng, n)
+        times = np.minimum(times, self._latest[clips])  # none begins in the bag
         self.clip[rows], self.time[rows], self.begun[rows], self.age[rows] = clips, times, times, 0
         self.jump_m[rows] = 0
         self.previous_action[rows] = 0
@@ -205,9 +200,10 @@ class TrackingEnv:
         self._set(rows, qpos, qvel)
 
     def _set(self, rows: Ints, qpos: npt.NDArray[np.floating], qvel: npt.NDArray[np.floating]) -> None:
-        self.state[rows, 0] = 0.0
+        self.state[rows] = 0.0
         self.state[rows, 1 : 1 + self._nq] = qpos
-        self.state[rows, 1 + self._nq : 1 + self._nq + self._nv] = qvel
+        self.state[rows, 1 + self._nq : self.first_v] = self.references.bag[self.clip[rows], -BAG_DOFS:]
+        self.state[rows, self.first_v : self.first_v + self._nv] = qvel
         self._refresh(rows)
 
     def _refresh(self, rows: Ints) -> None:
@@ -231,7 +227,7 @@ class TrackingEnv:
     @property
     def qvel(self) -> npt.NDArray[np.float64]:
         """(B, 6+H)."""
-        return np.asarray(self.state[:, 1 + self._nq : 1 + self._nq + self._nv])
+        return np.asarray(self.state[:, self.first_v : self.first_v + self._nv])
 
     def bodies(self) -> BodyStates:
         """World states of all bodies now."""
@@ -293,6 +289,11 @@ class TrackingEnv:
         wanted = base + self.settings.action_scale_rad * np.clip(action, -1.0, 1.0)
         return np.asarray(np.clip(wanted, self.human.hinges.lower, self.human.hinges.upper), dtype=np.float64)
 
+    def control(self, targets: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """(B, C) controls of `CONTROL_SPEC`: servo targets (B, H), then where seats and bags are."""
+        ref = self.references
+        return np.concatenate([targets, mocap_of(ref.seat[self.clip], ref.bag[self.clip])], axis=-1)
+
     def roll(
         self, state: npt.NDArray[np.float64], control: npt.NDArray[np.float64], spec: int
     ) -> npt.NDArray[np.float64]:
@@ -310,9 +311,9 @@ class TrackingEnv:
             keeps the state it had.
         """
         s = self.settings
-        control = np.concatenate([self.targets(action), mocap_of(self.references.seat[self.clip])], axis=-1)
+        control = self.control(self.targets(action))
         new = self.roll(self.state, np.repeat(control[:, None], SUBSTEPS, axis=1), CONTROL_SPEC)[:, -1]
-        speed = np.abs(new[:, 1 + self._nq : 1 + self._nq + 6])
+        speed = np.abs(new[:, self.first_v : self.first_v + 6])
         exploded = ~np.isfinite(new).all(axis=-1) | ~(speed.max(axis=-1) < s.exploded_mps)
         self.state = np.where(exploded[:, None], self.state, new)
         self._bodies = None
@@ -373,7 +374,8 @@ class TrackingEnv:
         return StepResult(observation, reward, terminated, truncated, exploded, final, error, disturbed)
 
     def _disturb(self) -> Ints:
-        """Now and then push the root, or let the reference jump sideways; which environments."""
+        """Now and then push the root, or let the reference jump sideways; those environments, and those at a bag: what
+        that does to a body is as little to be learnt from what is observed as a push is."""
         s, b = self.settings, self.settings.envs
         pushed = np.flatnonzero(self.rng.random(b) < s.push_chance)
         knocked = np.flatnonzero(self.rng.random(b) < s.knock_chance)
@@ -384,14 +386,14 @@ class TrackingEnv:
             self.add_velocity(int(row), self._knocks.change(self.qpos[row], self.qvel[row], body, impulse))
         self._refresh(knocked)
         if len(pushed):
-            self.state[pushed, 1 + self._nq : 3 + self._nq] += self.rng.normal(size=(len(pushed), 2)) * s.push_mps
+            self.state[pushed, self.first_v : self.first_v + 2] += self.rng.normal(size=(len(pushed), 2)) * s.push_mps
             self._refresh(pushed)
+        held = np.flatnonzero((self.references.bag[self.clip, 2] >= 0) & (self.time >= self._latest[self.clip]))
         jumped = np.flatnonzero(self.rng.random(b) < s.jump_chance)
         if len(jumped):
             self.jump_m[jumped] = self.rng.normal(size=(len(jumped), 2)) * s.jump_m
-        return np.union1d(np.union1d(pushed, jumped), knocked)
+        return np.unique(np.concatenate([pushed, jumped, knocked, held]))
 
     def add_velocity(self, row: int, change: npt.NDArray[np.float64]) -> None:
         """Add to the qvel of one environment, (V,); `moved` or `_refresh` is the caller's to call."""
-        first = 1 + self._nq
-        self.state[row, first : first + self._nv] += change
+        self.state[row, self.first_v : self.first_v + self._nv] += change

@@ -32,7 +32,7 @@ from tracker_service.training.dataset import MotionInput, ReferenceSet, prepare
 from tracker_service.training.env import SUBSTEPS, EnvSettings, TrackingEnv
 from tracker_service.training.knocks import long_walks, push
 from tracker_service.training.policies import policy_of
-from tracker_service.training.seats import CONTROL_SPEC, mocap_of
+from tracker_service.training.seats import CONTROL_SPEC
 
 F32 = npt.NDArray[np.float32]
 Floats = npt.NDArray[np.float64]
@@ -74,8 +74,7 @@ def fall(
         slack = np.greater_equal(tick, when) & (limp | np.greater_equal(tick, when + FIGHT_TICKS))
         # A servo that wants what is gives in: only its damping is left.
         target = np.where(slack[:, None], env.qpos[:, 7:], env.targets(policy(observation)))
-        control = np.concatenate([target, mocap_of(env.references.seat[env.clip])], axis=-1)
-        after = env.roll(env.state, np.repeat(control[:, None], SUBSTEPS, axis=1), CONTROL_SPEC)[:, -1]
+        after = env.roll(env.state, np.repeat(env.control(target)[:, None], SUBSTEPS, axis=1), CONTROL_SPEC)[:, -1]
         sound = np.asarray(np.isfinite(after).all(axis=-1))
         env.state = np.where(sound[:, None], after, env.state)
         env.time += 1

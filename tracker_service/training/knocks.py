@@ -27,14 +27,14 @@ class Knocks:
         self._model, self._data = model, mujoco.MjData(model)
 
     def change(self, qpos: Floats, qvel: Floats, body: int, impulse_w_ns: Floats) -> Floats:
-        """(V,) change of qvel by an impulse (3,) at the centre of mass of a body, by its MuJoCo id."""
+        """(V,) change of qvel by an impulse (3,) at the centre of mass of a body of the humanoid, by its MuJoCo id."""
         model, data = self._model, self._data
-        data.qpos[:], data.qvel[:] = qpos, qvel
+        data.qpos[: len(qpos)], data.qvel[: len(qvel)] = qpos, qvel
         mujoco.mj_forward(model, data)
         force, change = np.zeros((1, model.nv)), np.zeros((1, model.nv))
         mujoco.mj_applyFT(model, data, impulse_w_ns, np.zeros(3), data.xipos[body], body, force[0])
         mujoco.mj_solveM(model, data, change, force)
-        return np.asarray(change[0])
+        return np.asarray(change[0, : len(qvel)])
 
 
 def push(env: TrackingEnv, rows: npt.NDArray[np.int64], impulse_w_ns: Floats) -> None:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from shared.plugins.interfaces import GROUND_GRID_M
 from tracker_service.simulation.humanoid import BODY_BIT, WORLD_BIT, Humanoid, humanoid_spec
+from tracker_service.training.bags import add_bag
 
 Floats = npt.NDArray[np.floating]
 
@@ -32,7 +33,7 @@ CONTROL_SPEC = int(
 
 
 def training_model(human: Humanoid) -> mujoco.MjModel:
-    """The humanoid over a floor with a stool and a sofa that can stand anywhere."""
+    """The humanoid over a floor with a stool, a sofa and a bag that can stand anywhere, in this order."""
     spec = humanoid_spec(human)
     deep, wide, thick = SOFA_SIZE_M
     middle = EDGE_M - deep / 2
@@ -50,16 +51,21 @@ def training_model(human: Humanoid) -> mujoco.MjModel:
                 type=mujoco.mjtGeom.mjGEOM_BOX, size=[s / 2 for s in size], pos=place,
                 friction=[human.character.sole_friction, 0.005, 0.0001], contype=WORLD_BIT, conaffinity=BODY_BIT,
             )  # fmt: skip
+    add_bag(spec)
     return spec.compile()
 
 
-def mocap_of(seat: Floats) -> npt.NDArray[np.float64]:
-    """(B, 14) mocap positions of stool and sofa and then their quaternions, for seats (B, 5) as `NO_SEAT` has them."""
+def mocap_of(seat: Floats, bag: Floats | None = None) -> npt.NDArray[np.float64]:
+    """(B, 21) mocap positions of stool, sofa and bag and then their quaternions, for seats (B, 5) as `NO_SEAT` has them
+    and bags (B, 5) as `training.bags.NO_BAG`; without, none is there."""
     half, sofa = seat[:, 3] / 2, seat[:, 4:] > 0
     away = np.broadcast_to(NO_SEAT[:3], (len(seat), 3))
     zero = np.zeros_like(half)
     turn = np.stack([np.cos(half), zero, zero, np.sin(half)], axis=-1)
-    return np.concatenate([np.where(sofa, away, seat[:, :3]), np.where(sofa, seat[:, :3], away), turn, turn], axis=-1)
+    base = away if bag is None else bag[:, :3]
+    upright = np.broadcast_to((1.0, 0.0, 0.0, 0.0), turn.shape)
+    places = [np.where(sofa, away, seat[:, :3]), np.where(sofa, seat[:, :3], away), base]
+    return np.concatenate([*places, turn, turn, upright], axis=-1)
 
 
 def wide_fits(pos_w_m: Floats, seat: Floats, feet: npt.NDArray[np.integer]) -> bool:
@@ -119,12 +125,12 @@ def lowered(model: mujoco.MjModel, qpos: Floats, seat: Seat) -> Seat:
     """
     data = mujoco.MjData(model)
     place = mocap_of(np.array([seat]))[0]
-    data.mocap_pos[:], data.mocap_quat[:] = place[:6].reshape(2, 3), place[6:].reshape(2, 4)
+    data.mocap_pos[:], data.mocap_quat[:] = place[:9].reshape(3, 3), place[9:].reshape(3, 4)
     blocks = {model.body(name).id for name in ("stool", "sofa")}
     seated = {model.body(name).id for name in SEATED_BODIES}
     deepest = []
     for row in qpos[::STRIDE]:
-        data.qpos[:] = row
+        data.qpos[: len(row)] = row
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_collision(model, data)

@@ -15,8 +15,9 @@ from shared.training.passes import Pass
 from tracker_service.policy.observations import PREVIEW_TICKS
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.training.dataset import ReferenceSet
-from tracker_service.training.env import EnvSettings, slack_of
+from tracker_service.training.env import EnvSettings
 from tracker_service.training.network import mlp
+from tracker_service.training.sampling import slack_of
 from tracker_service.training.world.body import Bodies, Kinematics, Mirror, State, tensor
 from tracker_service.training.world.imagination import Imagination, Sight, can_compile, mixed
 from tracker_service.training.world.model import WorldModel, model_loss
@@ -244,7 +245,8 @@ class Learner:
     def update_policy(self, replay: Replay, rng: np.random.Generator) -> dict[str, float]:
         """One step up the gradient of imagined reward and the critic's value where imagination ends."""
         s = self.settings
-        places: Places = replay.draw(rng, s.policy_batch, 1, s.recent_ticks)
+        # What follows is imagined: where a bag or a push came next one can start too.
+        places: Places = replay.draw(rng, s.policy_batch, 0, s.recent_ticks)
         if len(places.slot) < s.policy_batch:
             return {}
         index = places.later(0)

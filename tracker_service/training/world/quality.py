@@ -82,7 +82,8 @@ def _simulated(env: TrackingEnv, qpos: Floats, qvel: Floats, targets: Floats, se
     count, ticks = targets.shape[:2]
     state = np.zeros((count, mujoco.mj_stateSize(env.model, mujoco.mjtState.mjSTATE_FULLPHYSICS)))
     state[:, 1 : 1 + qpos.shape[1]] = qpos
-    state[:, 1 + qpos.shape[1] : 1 + qpos.shape[1] + qvel.shape[1]] = qvel
+    first = 1 + env.model.nq
+    state[:, first : first + qvel.shape[1]] = qvel
     mocap = np.repeat(mocap_of(seat)[:, None], ticks, axis=1)
     control = np.repeat(np.concatenate([targets, mocap], axis=-1), SUBSTEPS, axis=1)
     states = env.roll(state, control, CONTROL_SPEC)[:, SUBSTEPS - 1 :: SUBSTEPS]
