@@ -25,7 +25,7 @@ import torch
 from tracker_service.simulation.character_spec import HUMAN
 from tracker_service.simulation.humanoid import humanoid
 from tracker_service.training.dataset import ReferenceSet
-from tracker_service.training.env import EnvSettings
+from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.main import training_sets
 from tracker_service.training.ppo import PpoSettings
 from tracker_service.training.trainer import Trainer

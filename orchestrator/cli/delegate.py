@@ -34,13 +34,11 @@ def run_quietly(module: str, arguments: Sequence[str]) -> int:
         process = subprocess.Popen([sys.executable, "-m", module, *arguments], process_group=0)
         try:
             return process.wait()
-        except (KeyboardInterrupt, SystemExit) as told:
+        except BaseException as told:
             process.terminate()
             process.wait()
-            return 130 if isinstance(told, KeyboardInterrupt) else TERMINATED
-        except BaseException:
-            process.terminate()
-            process.wait()
+            if isinstance(told, KeyboardInterrupt | SystemExit):
+                return 130 if isinstance(told, KeyboardInterrupt) else TERMINATED
             raise
 
 

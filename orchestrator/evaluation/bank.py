@@ -21,7 +21,7 @@ from orchestrator.core.character import CharacterSpec
 from orchestrator.core.command import Command, CommandGoal
 from orchestrator.core.episode import EpisodeRunner
 from orchestrator.core.events import EventLog
-from orchestrator.core.loop import GoalSource
+from orchestrator.core.loop import GoalSource, trace_of
 from orchestrator.core.services import Services
 from orchestrator.core.session import Session
 from orchestrator.core.settings import LOCKSTEP, LoopSettings
@@ -198,7 +198,6 @@ async def record_tasks(
                 raise UnavailableError(f"{task} {index} did not begin: {outcome.reason}")
             try:
                 log = await runner.session.loop.ticks(0, runner.tick, TICK_HZ, reference=True)
-                trace = await runner.session.loop.trace(0, runner.tick)
             finally:
                 await runner.session.close()
         reference = np.asarray(log.reference_pos_w_m, dtype=np.float32)
@@ -206,7 +205,7 @@ async def record_tasks(
         struck, scene = spec.tasks[-1], spec.scene
         bag = scene.marks[struck.mark].body if isinstance(struck, StrikeSpec) and isinstance(scene, Scene) else None
         if bag is not None:
-            for number, (piece, place) in enumerate(plans_beside(plans, trace, bag)):
+            for number, (piece, place) in enumerate(plans_beside(plans, trace_of(log), bag)):
                 name = f"{BESIDE}_{seed}_{index:04d}_{number}.npz"
                 np.savez_compressed(out / name, positions_w_m=piece, bag=place)
                 total["pieces"] += 1

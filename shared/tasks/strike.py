@@ -109,7 +109,7 @@ class StrikeTask(Task):
         self._hit_tick: int | None = None
         self._blow_tick, self._felt = 0, False
         self._tipping: Tipping | None = None
-        self._leans = (0.0, 0.0)
+        self._lean_radps = 0.0
         self._stood, self._way = np.zeros(3), np.zeros(2)
         self._blows = 0
         self._pace = Pace()
@@ -145,7 +145,7 @@ class StrikeTask(Task):
         self._stand.start(view)
         self._lands_tick, self._hit_tick, self._blows = None, None, 0
         body = self._bag.scene.body(self._bag.object)
-        self._tipping, self._leans = None if body is None else Tipping.of(body), (0.0, 0.0)
+        self._tipping, self._lean_radps = None if body is None else Tipping.of(body), 0.0
         self._walking = False
         self._pace.forget()
 
@@ -207,8 +207,7 @@ class StrikeTask(Task):
 
     def _goes(self, lean_rad: float) -> bool:
         """Whether it goes down by itself: past its edge, or fast enough to get there."""
-        last_rad, rate_radps = self._leans
-        moving = self._tipping is not None and self._tipping.goes(max(lean_rad, last_rad), rate_radps)
+        moving = self._tipping is not None and self._tipping.goes(lean_rad, self._lean_radps)
         return lean_rad >= GOING_RAD or moving
 
     def _was_hit(self, place: Array, pose: Array | None) -> bool:
@@ -299,7 +298,7 @@ class StrikeTask(Task):
         if trace.world is not None and blow is not None and len(trace) > LEAN_TICKS:
             bag = trace.world.objects.index(self._known().object)
             before, now = object_rules.tilt_rad(trace.world.pose_w[[-1 - LEAN_TICKS, -1], bag])
-            self._leans = float(now), float(now - before) * TICK_HZ / LEAN_TICKS
+            self._lean_radps = float(now - before) * TICK_HZ / LEAN_TICKS
         if trace.world is not None and blow is not None and self._lands_tick is not None:
             limb = trace.world.impulse_ns(self._known().object, object_rules.LIMBS[self._spec.limb])
             self._felt |= bool((limb[max(self._blow_tick - trace.start_tick, 0) :] > 0).any())

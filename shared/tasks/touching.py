@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from shared.motion.skeleton import CANONICAL
 from shared.scenes.schema import Part, SceneBody
+from shared.tasks.object_rules import GRAVITY_MPS2
 
 Array = npt.NDArray[np.float64]
 
@@ -24,10 +25,10 @@ LEAD_S = 0.3
 SPEED_S = 0.04
 """Over so long the speed of a touch is told."""
 CLUMSY = -10.0
-GRAVITY_MPS2 = 9.81
 SLENDER = 4.0 / 3.0
 """Moment of inertia of a slender body about its end, as against all its mass at the centre."""
 TO_SPARE = 1.5
+"""So many times the energy that it takes, as whoever lets go cannot help any more."""
 
 
 @dataclass(frozen=True)

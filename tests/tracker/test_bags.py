@@ -13,7 +13,8 @@ from tracker_service.simulation.character_spec import character
 from tracker_service.simulation.humanoid import humanoid
 from tracker_service.training.bags import NO_BAG, last_clear, lean_of
 from tracker_service.training.dataset import PLAN, MotionInput, load_bank, prepare
-from tracker_service.training.env import EnvSettings, TrackingEnv
+from tracker_service.training.env import TrackingEnv
+from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.seats import NO_SEAT, mocap_of, training_model
 
 HUMAN = humanoid(character("human"))
@@ -89,6 +90,20 @@ def test_a_bag_holds_up_who_goes_through_it_and_none_begins_in_it() -> None:
     for _ in range(40):
         env._begin(np.arange(2))
         assert (env.begun[env.clip == 0] <= clear).all()
+    env.close()
+
+
+def test_ticks_at_a_bag_are_told_as_ones_that_do_not_follow_from_what_is_seen() -> None:
+    free = through(1.0)
+    made = prepare(HUMAN, [free, MotionInput("none", PLAN, 1.0, free.positions_w_m)])
+    quiet = {"push_chance": 0.0, "knock_chance": 0.0, "jump_chance": 0.0, "stop_mean_m": 9.0, "stop_max_m": 9.0}
+    env = TrackingEnv(HUMAN, made, EnvSettings(envs=2, **quiet), seed=0)
+    env.reset_all()
+    env.age[:] = 0
+    env.start_at(np.arange(2))
+    clear = last_clear(made.pos_w_m[:60], made.bag[0])
+    told = [env.step(np.zeros((2, env.hinges), np.float32)).disturbed.tolist() for _ in range(clear + 3)]
+    assert told == [[]] * (clear - 1) + [[0]] * 4
     env.close()
 
 

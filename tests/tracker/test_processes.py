@@ -15,7 +15,7 @@ from shared.motion.ik import standing_clip
 from tracker_service.simulation.character_spec import HUMAN
 from tracker_service.simulation.humanoid import humanoid
 from tracker_service.training.dataset import MotionInput, prepare
-from tracker_service.training.env import EnvSettings
+from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.processes import ProcessEnv
 
 human = humanoid(HUMAN)

@@ -13,7 +13,8 @@ from shared.motion.ik import standing_clip
 from tracker_service.simulation.character_spec import character
 from tracker_service.simulation.humanoid import humanoid
 from tracker_service.training.dataset import MotionInput, ReferenceSet, load_bank, prepare
-from tracker_service.training.env import EnvSettings, TrackingEnv
+from tracker_service.training.env import TrackingEnv
+from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.main import with_sofas
 from tracker_service.training.seats import HEIGHTS, NO_SEAT, height_points, seat_heights
 from tracker_service.training.world.body import Kinematics, Mirror, State, tensor

@@ -13,7 +13,8 @@ from tracker_service.simulation.character_spec import character
 from tracker_service.simulation.humanoid import humanoid
 from tracker_service.training import suites
 from tracker_service.training.dataset import MotionInput, prepare
-from tracker_service.training.env import EnvSettings, TrackingEnv
+from tracker_service.training.env import TrackingEnv
+from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.knocks import push
 from tracker_service.training.policies import policy_of
 

@@ -30,7 +30,8 @@ from tracker_service.training.dataset import (
     prepare_cached,
     smooth_stretches,
 )
-from tracker_service.training.env import EnvSettings, TrackingEnv
+from tracker_service.training.env import TrackingEnv
+from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.evaluate import evaluate
 from tracker_service.training.export import export_weights
 from tracker_service.training.network import ActorCritic, Normalizer, run_mixed

@@ -18,7 +18,8 @@ from tracker_service.simulation.character_spec import character
 from tracker_service.simulation.humanoid import humanoid
 from tracker_service.simulation.scene import build_scene
 from tracker_service.training.dataset import MotionInput, ReferenceSet, prepare
-from tracker_service.training.env import EnvSettings, TrackingEnv
+from tracker_service.training.env import TrackingEnv
+from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.sampling import FailureTable, kin_of
 from tracker_service.training.seats import HEIGHTS
 from tracker_service.training.world.body import State, tensor

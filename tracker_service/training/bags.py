@@ -12,11 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.scenes.files import load_scene
+from shared.tasks.object_rules import GRAVITY_MPS2
 from tracker_service.simulation.humanoid import BODY_BIT, WORLD_BIT
 
 Floats = npt.NDArray[np.floating]
 
-GRAVITY_MPS2 = 9.81
 BAG_DOFS = 2
 LOWEST_RAD = 1.45
 """Lying: so far it leans at most."""

@@ -22,7 +22,8 @@ from tracker_service.simulation.character_spec import character as character_spe
 from tracker_service.simulation.humanoid import humanoid, humanoid_model
 from tracker_service.simulation.scene import build_scene
 from tracker_service.training.dataset import MotionInput, prepare
-from tracker_service.training.env import EnvSettings, TrackingEnv
+from tracker_service.training.env import TrackingEnv
+from tracker_service.training.env_settings import EnvSettings
 
 HUMANOID = humanoid(character_spec("human"))
 ROUNDS = 5

@@ -16,7 +16,6 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 from mujoco import rollout
-from pydantic import BaseModel, ConfigDict, Field
 
 from shared.protocol.rates import PHYSICS_HZ, TICK_HZ
 from tracker_service.policy.observations import (
@@ -31,8 +30,9 @@ from tracker_service.simulation.kinematics import BodyKinematics, BodyStates
 from tracker_service.training import rewards
 from tracker_service.training.bags import BAG_DOFS, latest_starts
 from tracker_service.training.dataset import ReferenceSet
+from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.knocks import Knocks
-from tracker_service.training.sampling import FailureTable, kin_of, slack_of
+from tracker_service.training.sampling import FailureTable, kin_of
 from tracker_service.training.seats import CONTROL_SPEC, HEIGHTS, height_points, mocap_of, seat_heights, training_model
 
 F32 = npt.NDArray[np.float32]
@@ -45,46 +45,13 @@ KNOCKED = ("wrist", "elbow", "foot", "knee")
 _TAIL_TICKS = max(PREVIEW_TICKS) + 1
 
 
-class EnvSettings(BaseModel):
-    """How episodes go.
+FLOOR_SLACK = 2.0
+FLOOR_BEHAVIOURS = ("get_up", "lie_down")
 
-    Attributes:
-        envs: humanoids at once. threads: of physics, and of what follows from it. processes: among which the
-            environments are spread where there are many cores (`training.processes`), each with one thread.
-        action_scale_rad: servo targets move by at most this from the led reference.
-        episode_ticks: longest episode.
-        stop_mean_m, stop_max_m: mean and largest joint distance that end an episode.
-        noise_*: of the starting state, times a number from 0 to noise_most drawn for each episode: some begin on the
-            clip, others as far from it as a body from the plan that was made while it stumbled.
-        push_*: chance a tick and size of a sudden change of the root's velocity.
-        heights: observations end with the heights of what is underfoot and under the seat (`training.seats`).
-        knock_*: chance a tick and most of an impulse on a hand, foot, elbow or knee.
-        jump_*: chance a tick and size of a sideways jump of the reference, which decays by jump_decay a tick
-            (a plan's junction).
-    """
 
-    model_config = ConfigDict(frozen=True)
-    envs: int = Field(default=320, gt=0)
-    threads: int = Field(default=1, ge=1)
-    processes: int = Field(default=1, ge=1)
-    action_scale_rad: float = 0.4
-    episode_ticks: int = 300
-    stop_mean_m: float = 0.25
-    stop_max_m: float = 0.6
-    noise_hinge_rad: float = 0.03
-    noise_root_m: float = 0.02
-    noise_rate: float = 0.1
-    noise_most: float = 3.0
-    push_chance: float = 1 / 150
-    push_mps: float = 0.3
-    knock_chance: float = 1 / 240
-    knock_ns: float = 25.0
-    jump_chance: float = 1 / 120
-    jump_m: float = 0.05
-    jump_decay: float = 0.92
-    fail_floor: float = 0.15
-    exploded_mps: float = 30.0
-    heights: bool = False
+def slack_of(behaviours: npt.NDArray[np.str_]) -> npt.NDArray[np.float32]:
+    """(C,) factor on the distances that end an episode: a body on the floor may get up otherwise than it was shown."""
+    return np.where(np.isin(behaviours, FLOOR_BEHAVIOURS), FLOOR_SLACK, 1.0).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -96,7 +63,8 @@ class StepResult:
         reward: (B,). terminated, truncated, exploded: (B,) how episodes ended.
         final_observation: (B, D) right after the tick, before new episodes and disturbances.
         error_m: (B,) mean joint distance.
-        disturbed: rows of the environments in which the next tick does not follow from what is observed now.
+        disturbed: rows of the environments in which the next tick does not follow from what is observed: they were
+            pushed, or are at a bag, which nobody sees.
     """
 
     observation: F32
@@ -367,15 +335,17 @@ class TrackingEnv:
             self._begin(rows)
         disturbed = self._disturb()
         changed = np.union1d(rows, disturbed)
+        held = np.flatnonzero((self.references.bag[self.clip, 2] >= 0) & (self.time >= self._latest[self.clip]))
         observation = final.copy()
         if len(changed):
             observation[changed] = self.observe(changed)
         error = np.asarray(distance.mean(axis=-1), dtype=np.float32)
-        return StepResult(observation, reward, terminated, truncated, exploded, final, error, disturbed)
+        return StepResult(
+            observation, reward, terminated, truncated, exploded, final, error, np.union1d(disturbed, held)
+        )
 
     def _disturb(self) -> Ints:
-        """Now and then push the root, or let the reference jump sideways; those environments, and those at a bag: what
-        that does to a body is as little to be learnt from what is observed as a push is."""
+        """Now and then push the root, or let the reference jump sideways; which environments."""
         s, b = self.settings, self.settings.envs
         pushed = np.flatnonzero(self.rng.random(b) < s.push_chance)
         knocked = np.flatnonzero(self.rng.random(b) < s.knock_chance)
@@ -388,11 +358,10 @@ class TrackingEnv:
         if len(pushed):
             self.state[pushed, self.first_v : self.first_v + 2] += self.rng.normal(size=(len(pushed), 2)) * s.push_mps
             self._refresh(pushed)
-        held = np.flatnonzero((self.references.bag[self.clip, 2] >= 0) & (self.time >= self._latest[self.clip]))
         jumped = np.flatnonzero(self.rng.random(b) < s.jump_chance)
         if len(jumped):
             self.jump_m[jumped] = self.rng.normal(size=(len(jumped), 2)) * s.jump_m
-        return np.unique(np.concatenate([pushed, jumped, knocked, held]))
+        return np.union1d(np.union1d(pushed, jumped), knocked)
 
     def add_velocity(self, row: int, change: npt.NDArray[np.float64]) -> None:
         """Add to the qvel of one environment, (V,); `moved` or `_refresh` is the caller's to call."""

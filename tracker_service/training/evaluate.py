@@ -12,7 +12,8 @@ from shared.errors import InvalidInputError
 from shared.protocol.rates import TICK_HZ
 from shared.statistics import wilson
 from tracker_service.training.dataset import ReferenceSet
-from tracker_service.training.env import EnvSettings, TrackingEnv
+from tracker_service.training.env import TrackingEnv
+from tracker_service.training.env_settings import EnvSettings
 
 F32 = npt.NDArray[np.float32]
 

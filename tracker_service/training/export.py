@@ -14,7 +14,7 @@ from safetensors.numpy import save_file
 
 from tracker_service.simulation.character_spec import HUMAN, Character
 from tracker_service.simulation.character_spec import character as character_named
-from tracker_service.training.env import EnvSettings
+from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.network import Normalizer
 
 

@@ -29,7 +29,8 @@ from tracker_service.policy.learned import WEIGHTS
 from tracker_service.simulation.character_spec import HUMAN
 from tracker_service.simulation.humanoid import Humanoid, humanoid
 from tracker_service.training.dataset import MotionInput, ReferenceSet, prepare
-from tracker_service.training.env import SUBSTEPS, EnvSettings, TrackingEnv
+from tracker_service.training.env import SUBSTEPS, TrackingEnv
+from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.knocks import long_walks, push
 from tracker_service.training.policies import policy_of
 from tracker_service.training.seats import CONTROL_SPEC

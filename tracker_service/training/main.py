@@ -30,7 +30,7 @@ from tracker_service.training.dataset import (
     seat_in,
     sized,
 )
-from tracker_service.training.env import EnvSettings
+from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.ppo import PpoSettings
 from tracker_service.training.seats import wide_fits
 from tracker_service.training.trainer import Trainer

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from tracker_service.policy.learned import LearnedTracker
 from tracker_service.simulation.humanoid import Humanoid
-from tracker_service.training.env import EnvSettings
+from tracker_service.training.env_settings import EnvSettings
 
 F32 = npt.NDArray[np.float32]
 

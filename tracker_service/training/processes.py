@@ -23,7 +23,8 @@ import numpy.typing as npt
 from shared.errors import SimulationError
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.training.dataset import ReferenceSet
-from tracker_service.training.env import EnvSettings, StepResult, TrackingEnv
+from tracker_service.training.env import StepResult, TrackingEnv
+from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.sampling import FailureTable
 
 F32 = npt.NDArray[np.float32]

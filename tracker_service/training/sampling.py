@@ -21,13 +21,6 @@ visits of a clip's own weigh as much as that: a corpus has more seconds than a s
 OUT_OF_REACH = 0.5
 """Chance of what always fails, relative to what fails half of the time."""
 FROM_START_SHARE = 0.15
-FLOOR_SLACK = 2.0
-FLOOR_BEHAVIOURS = ("get_up", "lie_down")
-
-
-def slack_of(behaviours: npt.NDArray[np.str_]) -> npt.NDArray[np.float32]:
-    """(C,) factor on the distances that end an episode: a body on the floor may get up otherwise than it was shown."""
-    return np.where(np.isin(behaviours, FLOOR_BEHAVIOURS), FLOOR_SLACK, 1.0).astype(np.float32)
 
 
 def kin_of(behaviours: Sequence[str], names: Sequence[str]) -> list[str]:

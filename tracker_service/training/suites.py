@@ -19,7 +19,8 @@ from shared.motion.ik import standing_clip
 from shared.protocol.rates import TICK_HZ
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.training.dataset import MotionInput, ReferenceSet, prepare, seat_in
-from tracker_service.training.env import EnvSettings, TrackingEnv
+from tracker_service.training.env import TrackingEnv
+from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.evaluate import evaluate
 from tracker_service.training.falls import falls, library_of, upright_references
 from tracker_service.training.knocks import long_walks, push

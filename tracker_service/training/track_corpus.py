@@ -23,7 +23,8 @@ from shared.errors import InvalidInputError
 from tracker_service.simulation.character_spec import HUMAN
 from tracker_service.simulation.humanoid import Humanoid, humanoid
 from tracker_service.training.dataset import ReferenceSet
-from tracker_service.training.env import EnvSettings, TrackingEnv
+from tracker_service.training.env import TrackingEnv
+from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.main import references
 from tracker_service.training.network import ActorCritic, Normalizer
 from tracker_service.training.ppo import to_numpy

@@ -17,7 +17,8 @@ from torch.utils.tensorboard import SummaryWriter
 from shared.protocol.rates import TICK_HZ
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.training.dataset import ReferenceSet
-from tracker_service.training.env import EnvSettings, TrackingEnv
+from tracker_service.training.env import TrackingEnv
+from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.evaluate import evaluate
 from tracker_service.training.network import ActorCritic, Normalizer, log_prob
 from tracker_service.training.ppo import PpoSettings, PpoUpdater, to_numpy

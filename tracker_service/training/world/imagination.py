@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from shared.protocol.rates import TICK_HZ
 from tracker_service.simulation.humanoid import Humanoid
-from tracker_service.training.env import EnvSettings
+from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.world.body import Bodies, Kinematics, State, tensor
 from tracker_service.training.world.model import WorldModel
 from tracker_service.training.world.sight import Reference, observe, servo_targets, tick_reward

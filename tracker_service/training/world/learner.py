@@ -15,9 +15,9 @@ from shared.training.passes import Pass
 from tracker_service.policy.observations import PREVIEW_TICKS
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.training.dataset import ReferenceSet
-from tracker_service.training.env import EnvSettings
+from tracker_service.training.env import slack_of
+from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.network import mlp
-from tracker_service.training.sampling import slack_of
 from tracker_service.training.world.body import Bodies, Kinematics, Mirror, State, tensor
 from tracker_service.training.world.imagination import Imagination, Sight, can_compile, mixed
 from tracker_service.training.world.model import WorldModel, model_loss

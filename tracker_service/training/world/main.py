@@ -16,7 +16,7 @@ from shared.console import errors_for_people
 from shared.errors import InvalidInputError
 from tracker_service.simulation.character_spec import character as character_named
 from tracker_service.simulation.humanoid import humanoid
-from tracker_service.training.env import EnvSettings
+from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.main import training_sets
 from tracker_service.training.world.settings import WorldSettings
 from tracker_service.training.world.trainer import WorldTrainer

@@ -22,7 +22,8 @@ from shared.errors import InvalidInputError
 from shared.protocol.rates import TICK_HZ
 from tracker_service.simulation.humanoid import Humanoid
 from tracker_service.training.dataset import ReferenceSet
-from tracker_service.training.env import EnvSettings, TrackingEnv
+from tracker_service.training.env import TrackingEnv
+from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.evaluate import evaluate
 from tracker_service.training.processes import ProcessEnv
 from tracker_service.training.sampling import KIN_SECONDS

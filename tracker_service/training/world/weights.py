@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from shared.errors import InvalidInputError
 from tracker_service.simulation.character_spec import HUMAN, Character
-from tracker_service.training.env import EnvSettings
+from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.world.imagination import OBSERVATION_CLIP
 from tracker_service.training.world.learner import Learner
 
