@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import time
 import uuid
@@ -15,6 +16,9 @@ for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 FOR_TESTS = ("MOTIONLOOP_MOCAP", "MOTIONLOOP_FUZZ", "MOTIONLOOP_CHROMIUM")
 for _name in [name for name in os.environ if name.startswith("MOTIONLOOP_") and name not in FOR_TESTS]:
     del os.environ[_name]
+# A shell's background job ignores Ctrl-C, and so would every process that a test starts and interrupts.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 # Every process that a test starts inherits this mark, so that even an orphan is found at the end.
 os.environ["MOTIONLOOP_TEST_MARK"] = uuid.uuid4().hex
 

@@ -52,6 +52,7 @@ def test_a_second_server_on_a_data_folder_is_refused_before_anything_starts(tmp_
 def test_a_service_alone_ends_with_the_command_that_serves_it(number: signal.Signals) -> None:
     command = [sys.executable, "-m", "motionloop", "serve", "planner", "--endpoint", "tcp://127.0.0.1:0"]
     process = subprocess.Popen([*command, "--plugins", "stand"], stdout=subprocess.PIPE, text=True)
+    service: psutil.Process | None = None
     try:
         assert process.stdout is not None
         assert "ready" in process.stdout.readline()
@@ -62,6 +63,8 @@ def test_a_service_alone_ends_with_the_command_that_serves_it(number: signal.Sig
         assert not service.is_running()
     finally:
         process.kill()
+        if service is not None and service.is_running():
+            service.kill()
         process.communicate()
 
 
