@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import openvino
 import torch
-from openvino import opset13 as ops
 from torch import Tensor, nn
 
 from planner_service.dip.blocks import Memory
 from planner_service.dip.network import DecoderLayer, DipNetwork
+from planner_service.dip.openvino_core import core, openvino, ops
 
 Node = Any
 """An output of an OpenVINO graph; its stubs know no better."""
@@ -38,7 +37,7 @@ class OpenVinoBlocks:
             "NUM_STREAMS": 1,
             "ENABLE_CPU_PINNING": False,
         }
-        compiled = openvino.Core().compile_model(_graph(network), "CPU", options)
+        compiled = core().compile_model(_graph(network), "CPU", options)
         self._request = compiled.create_infer_request()
 
     def __call__(self, tokens: Tensor, memory: Memory) -> Tensor:
@@ -48,7 +47,7 @@ class OpenVinoBlocks:
         return torch.from_numpy(found.copy())  # the next call writes over what is shared
 
 
-def _graph(network: DipNetwork) -> openvino.Model:
+def _graph(network: DipNetwork) -> Any:
     """Inputs tokens (R, T, W), keys (D, R, C, W), bias (D, R, 1, C), values (D, R, C, W); output (R, N, W)."""
     config = network.config
     width, heads, frames = config.width, config.heads, config.prefix_frames + config.plan_frames

@@ -138,7 +138,8 @@ def test_the_last_step_is_the_exact_one() -> None:
 
 def test_without_the_extra_torch_is_used_unless_openvino_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "openvino", None)
-    monkeypatch.delitem(sys.modules, "planner_service.dip.openvino_blocks", raising=False)
+    for name in ("openvino_blocks", "openvino_core"):
+        monkeypatch.delitem(sys.modules, f"planner_service.dip.{name}", raising=False)
     network = network_of(TINY)
     assert choose_blocks(network, "auto", bf16=False).name == "torch float32"
     with pytest.raises(UnavailableError) as caught:
