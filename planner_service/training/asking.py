@@ -7,7 +7,14 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from planner_service.dip.conditions import KeyframeBatch, TargetBatch, VelocityBatch, late_velocity
+from planner_service.dip.conditions import (
+    JOINT_SLOTS,
+    SLOT_JOINTS,
+    KeyframeBatch,
+    TargetBatch,
+    VelocityBatch,
+    late_velocity,
+)
 from planner_service.dip.config import DipConfig
 from planner_service.dip.features_torch import plan_to_positions
 from planner_service.training.losses import sample_targets
@@ -20,6 +27,8 @@ MOST_KEYS = 3
 MOST_KEYED_JOINTS = 4
 WHOLE_POSE_SHARE = 0.3
 """Of the keys, those that hold all joints."""
+TWICE_SHARE = 0.4
+"""Of the windows with a target of a joint, those that have it as a key at its frame, too, as a strike asks for it."""
 LIKELIER_JOINTS = (
     "pelvis", "head", "left_wrist", "right_wrist", "left_ankle", "right_ankle", "left_foot", "right_foot",
 )  # fmt: skip
@@ -80,6 +89,10 @@ def sample_asked(
         position_valid=targets.position_valid & kept[:, None],
         heading_valid=targets.heading_valid & kept,
     )
+    if keyframes is not None:
+        limbs = targets.position_valid & (torch.arange(len(JOINT_SLOTS)) != JOINT_SLOTS.index("traj"))
+        row, slot = torch.nonzero(limbs & chance(TWICE_SHARE)[:, None], as_tuple=True)
+        keyframes.mask[row, targets.position_frame[row, slot] - 1, SLOT_JOINTS[slot]] = True
     return Asked(targets, keyframes, velocity)
 
 

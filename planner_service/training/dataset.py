@@ -128,6 +128,24 @@ def emphasized(material: Material, factors: Mapping[str, float]) -> Material:
     return replace(material, weight=weight / weight.sum())
 
 
+@dataclass(frozen=True)
+class Told:
+    """What B windows are told in words.
+
+    Attributes:
+        sentence, other: (B,) two sentences of the window's clip, maybe the same.
+        share: (B,) float32, 0..1: how much of the other's pooled token is in the one shown; between two ways to say a
+            thing lie others.
+        pooled_alone: (B,) bool whether nothing but the pooled token is shown. keep: (B,) bool whether anything is.
+    """
+
+    sentence: Tensor
+    other: Tensor
+    share: Tensor
+    pooled_alone: Tensor
+    keep: Tensor
+
+
 class TextBank:
     """All sentences of the corpus, encoded once."""
 
@@ -143,6 +161,13 @@ class TextBank:
         """The bank on a device; itself."""
         self._tokens, self._mask = self._tokens.to(device), self._mask.to(device)
         return self
+
+    def told(self, told: Told) -> tuple[Tensor, Tensor]:
+        """Token features (B, L, dim) and mask (B, L), see `Told`."""
+        text, mask = self.rows(told.sentence, told.keep)
+        text[:, 0] += told.share[:, None] * (self._tokens[told.other, 0] - text[:, 0])
+        mask[:, 1:] &= ~told.pooled_alone[:, None]
+        return text, mask
 
     def rows(self, index: Tensor, keep: Tensor) -> tuple[Tensor, Tensor]:
         """Token features (B, L, dim) and mask (B, L) of sentences; none where `keep` is False.
@@ -162,7 +187,7 @@ class WindowBatch:
 
     Attributes:
         features: (B, T, 263) float32.
-        clip: (B,) clip that the plan comes from; sentence: (B,) one of its sentences.
+        clip: (B,) clip that the plan comes from; sentence, other: (B,) two of its sentences.
         shown: (B,) whether the plan shows what the sentence says.
         bent: (B,) whether the path was bent, which no sentence says.
     """
@@ -170,6 +195,7 @@ class WindowBatch:
     features: Tensor
     clip: Index
     sentence: Index
+    other: Index
     shown: npt.NDArray[np.bool_]
     bent: npt.NDArray[np.bool_]
 
@@ -239,9 +265,9 @@ class WindowSampler:
             if len(rows):
                 windows[rows] = disturb(windows[rows], self._prefix, rng)
         windows = repeat_first_rates(windows, window_positions(windows[:, :1])[:, 0])
-        sentence = np.array([m.texts[c][rng.integers(len(m.texts[c]))] for c in clip])
+        sentence, other = np.array([[m.texts[c][rng.integers(len(m.texts[c]))] for c in clip] for _ in range(2)])
         shown = plans_showing(windows[:, self._prefix :], [m.behaviours[m.behaviour[c]] for c in clip])
-        return WindowBatch(torch.from_numpy(windows), clip, sentence, shown, bent)
+        return WindowBatch(torch.from_numpy(windows), clip, sentence, other, shown, bent)
 
     def _join(self, clip: Index) -> tuple[npt.NDArray[np.bool_], Features, Index]:
         """Windows that leave each of `clip` for another: which of them a body could perform, those, and the clips that

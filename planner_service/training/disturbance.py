@@ -3,12 +3,16 @@
 What is simulated is off the plan by centimetres; the orchestrator adds the present error, decaying, to the rest of
 the old plan (DESIGN 6). So a window is moved by a smooth offset of each joint that holds, then fades; a little noise
 lies on its prefix.
+
+A planner's own motion swings less than what it learnt from, and is what it goes on from: a wave that has once become
+small stays small. So the arms of some prefixes swing less than recorded, and the plan goes back to the recorded swing.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import gaussian_filter1d
 
 from planner_service.training.windows import Features, ik_6d, rotations_of, window_features, window_positions
 from shared.motion.skeleton import CANONICAL
@@ -21,6 +25,12 @@ YAW_OFFSET_RAD = 0.03
 NOISE_M = 0.002
 SETTLE_FRAMES = 10
 """Frames after the prefix in which an offset that still holds at its end fades to nothing."""
+STILLED_SHARE = 0.5
+"""Of the disturbed windows, those whose arms swing less in the prefix."""
+LEAST_STILLED = 0.3
+SWING_FRAMES = 6.0
+"""Standard deviation of the Gaussian mean that a stilled arm is drawn to: it leaves 2 % of a swing at 1.5 Hz."""
+ARMS = tuple((CANONICAL.index(f"{side}_elbow"), CANONICAL.index(f"{side}_wrist")) for side in ("left", "right"))
 
 
 def random_offsets(positions_w_m: Array, prefix_frames: int, rng: np.random.Generator) -> Array:
@@ -51,11 +61,34 @@ def random_offsets(positions_w_m: Array, prefix_frames: int, rng: np.random.Gene
     return np.asarray(out)
 
 
+def stilled_arms(positions_w_m: Array, prefix_frames: int, rng: np.random.Generator) -> Array:
+    """Windows (B, T, 22, 3) whose arms, seen from the shoulder, move less in the prefix; bones keep their length.
+
+    The share of the swing that is lost is LEAST_STILLED or more, to all of it, and falls to nothing within
+    SETTLE_FRAMES of the plan.
+    """
+    b, t = positions_w_m.shape[:2]
+    lost = rng.uniform(LEAST_STILLED, 1.0, size=(b, 1))
+    fade = np.clip((prefix_frames + SETTLE_FRAMES - np.arange(t)) / SETTLE_FRAMES, 0.0, 1.0)
+    lost = (lost * fade * fade * (3 - 2 * fade))[..., None]
+    out = positions_w_m.copy()
+    for elbow, wrist in ARMS:
+        shoulder = CANONICAL.parents[elbow]
+        for joint, parent in ((elbow, shoulder), (wrist, elbow)):
+            bone = positions_w_m[:, :, joint] - positions_w_m[:, :, parent]
+            length = np.linalg.norm(bone, axis=-1, keepdims=True)
+            calm = bone + lost * (gaussian_filter1d(bone, SWING_FRAMES, axis=1, mode="nearest") - bone)
+            out[:, :, joint] = out[:, :, parent] + calm * (length / np.linalg.norm(calm, axis=-1, keepdims=True))
+    return out
+
+
 def disturb(features: Features, prefix_frames: int, rng: np.random.Generator) -> Features:
     """Windows (B, T, 263) with a disturbed prefix and a plan that settles from it; rotations by IK as in use."""
     positions = window_positions(features)
     rotations = rotations_of(features)
     changed = prefix_frames + SETTLE_FRAMES
+    rows = np.flatnonzero(rng.random(len(positions)) < STILLED_SHARE)
+    positions[rows] = stilled_arms(positions[rows], prefix_frames, rng)
     positions = positions + random_offsets(positions, prefix_frames, rng)
     rotations[:, :changed] = ik_6d(positions[:, :changed])
     return window_features(positions, rotations)

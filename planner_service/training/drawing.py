@@ -18,17 +18,19 @@ from torch.utils.data import DataLoader, Dataset
 
 from planner_service.dip.config import DipConfig
 from planner_service.training.asking import Asked, sample_asked
-from planner_service.training.dataset import WindowSampler
+from planner_service.training.dataset import Told, WindowSampler
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class Shares:
-    """How B windows are made: how many, and which shares of them lose their text, get keyframes and get a velocity."""
+    """How B windows are made: how many, and which shares of them lose their text, have nothing of it but the pooled
+    token, get keyframes and get a velocity."""
 
     batch: int
     text_dropout: float
+    pooled_alone: float
     keyed: float
     velocity: float
 
@@ -39,15 +41,14 @@ class Work:
 
     Attributes:
         prefix (B, P, F), plan (B, N, F): not normalised. asked: what the network is told of the plan.
-        sentence, keep: (B,) row of the text bank, and whether the text is shown.
+        told: of which sentences, and how.
         step: (B,) int64 diffusion step. noise: (B, N, F); None where the device draws it.
     """
 
     prefix: Tensor
     plan: Tensor
     asked: Asked
-    sentence: Tensor
-    keep: Tensor
+    told: Told
     step: Tensor
     noise: Tensor | None
 
@@ -86,9 +87,16 @@ def draw(
     asked = sample_asked(plan, config, shares.keyed, shares.velocity, generator)
     # A bent path is explained by what is asked for, never by the sentence alone.
     keep &= batch.shown & (asked.any().numpy() | ~batch.bent)
+    told = Told(
+        torch.from_numpy(batch.sentence),
+        torch.from_numpy(batch.other),
+        torch.from_numpy(sampler.rng.random(shares.batch, dtype=np.float32)),
+        torch.from_numpy(sampler.rng.random(shares.batch) < shares.pooled_alone),
+        torch.from_numpy(np.asarray(keep)),
+    )
     step = torch.randint(0, config.steps, (shares.batch,), generator=generator)
     noise = torch.randn(plan.shape, generator=generator) if with_noise else None
-    return Work(prefix, plan, asked, torch.from_numpy(batch.sentence), torch.from_numpy(np.asarray(keep)), step, noise)
+    return Work(prefix, plan, asked, told, step, noise)
 
 
 class NumberedWork(Dataset[Work]):

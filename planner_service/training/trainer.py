@@ -33,6 +33,8 @@ class TrainSettings(BaseModel):
     Attributes:
         decay_until: step at which the learning rate has fallen, in a straight line, to a twentieth; None: it stays.
         text_dropout: share of windows that lose their text, for guidance.
+        pooled_alone: share of windows that have nothing of their text but its pooled token: the words of a sentence
+            that was never seen are less like those of its likes than the sentence as a whole.
         bf16: run the network under bfloat16 autocast (by default where the processor has it); losses stay in float32.
         keyed_share, velocity_share: for networks that take keyframes or a velocity, shares of the windows with a target
             or a heading that get them.
@@ -49,6 +51,7 @@ class TrainSettings(BaseModel):
     weight_decay: float = Field(0.01, ge=0)
     clip_norm: float = Field(1.0, gt=0)
     text_dropout: float = Field(0.1, ge=0, le=1)
+    pooled_alone: float = Field(0.3, ge=0, le=1)
     keyed_share: float = Field(0.4, ge=0, le=1)
     velocity_share: float = Field(0.35, ge=0, le=1)
     keyframe_weight: float = Field(LossWeights.keyframe, ge=0)
@@ -100,7 +103,13 @@ class Trainer:
         self._there = Normalizer(normalizer.mean.to(self.device), normalizer.std.to(self.device))
         self._weights = LossWeights(keyframe=settings.keyframe_weight, desired_velocity=settings.velocity_weight)
         self._group_weights = feature_weights(self._weights).to(self.device)
-        self._shares = Shares(settings.batch, settings.text_dropout, settings.keyed_share, settings.velocity_share)
+        self._shares = Shares(
+            settings.batch,
+            settings.text_dropout,
+            settings.pooled_alone,
+            settings.keyed_share,
+            settings.velocity_share,
+        )
         self._optimizer = torch.optim.AdamW(
             network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay, fused=True
         )
@@ -189,7 +198,7 @@ class Trainer:
         work = self._form.with_tensors(tensors)
         assert work.noise is not None
         asked = work.asked
-        text, text_mask = self._texts.rows(work.sentence, work.keep)
+        text, text_mask = self._texts.told(work.told)
         clean = self._there.normalize(work.plan)
         noisy = add_noise(self._schedule, clean, work.step, work.noise)
         vector = asked.targets.vector(config.plan_frames)

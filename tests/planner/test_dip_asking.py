@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from planner_service.dip.conditions import KeyframeBatch, TargetBatch, VelocityBatch, late_velocity
+from planner_service.dip.conditions import SLOT_JOINTS, KeyframeBatch, TargetBatch, VelocityBatch, late_velocity
 from planner_service.dip.config import DipConfig, preset
 from planner_service.dip.features_torch import Normalizer, plan_to_positions
 from planner_service.dip.network import DipNetwork, with_conditions
@@ -75,6 +75,20 @@ def test_windows_ask_for_what_their_own_plans_do(material: Material) -> None:
     for some in (keyed, asked.velocity.valid, keyed & placed, keyed & ~placed, placed & ~keyed):
         assert some.any()
     assert torch.equal(asked.any(), keyed | asked.velocity.valid | placed)
+
+
+def test_some_places_are_told_twice_as_a_target_and_as_a_key(material: Material) -> None:
+    plan = WindowSampler(material, 20, 40, 0).draw(512).features[:, 20:]
+    asked = sample_asked(plan, BOTH, 0.0, 0.0, torch.Generator().manual_seed(1))
+    assert asked.keyframes is not None
+    limbs = asked.targets.position_valid[:, :-1].any(-1)
+    twice = asked.keyframes.mask.flatten(1).any(-1)
+    assert 0.25 < float(twice.sum() / limbs.sum()) < 0.55
+    assert not (twice & ~limbs).any()
+    for row in torch.nonzero(twice).flatten().tolist():
+        slot = int(asked.targets.position_valid[row, :-1].float().argmax())
+        frame, joint = int(asked.targets.position_frame[row, slot]) - 1, int(SLOT_JOINTS[slot])
+        assert torch.nonzero(asked.keyframes.mask[row]).tolist() == [[frame, joint]]
 
 
 def test_windows_with_nothing_but_their_text_stay_as_many(material: Material) -> None:
