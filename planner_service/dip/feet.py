@@ -1,17 +1,20 @@
-"""Feet of a plan: held where the plan itself says that they stand, and not below the floor.
+"""Feet of a plan: held where the plan itself says that they stand, and not below the floor; and hands that have an aim.
 
 Rebuilding a pose with exact bone lengths starts at the pelvis, so small errors of the legs end up in the feet. Here the
-ankles are put back to where the network wanted them, without the creeping of a foot in contact, by two-bone IK.
+ankles are put back to where the network wanted them, without the creeping of a foot in contact, by two-bone IK. So are
+the wrists that were asked for: a shortened arm is a bent one.
 """
 
 from __future__ import annotations
+
+from collections.abc import Collection
 
 import numpy as np
 import numpy.typing as npt
 
 from shared.motion.clip import MotionClip
 from shared.motion.ik import clip_from_positions
-from shared.motion.limbs import solve_leg
+from shared.motion.limbs import solve_arm, solve_leg
 from shared.motion.skeleton import CANONICAL
 
 Array = npt.NDArray[np.float64]
@@ -41,13 +44,14 @@ def held_offsets(feet_xy_m: Array, contact: npt.NDArray[np.bool_]) -> Array:
     return offset
 
 
-def with_planted_feet(wanted_w_m: Array, contacts: Array, fps: float) -> MotionClip:
+def with_planted_feet(wanted_w_m: Array, contacts: Array, fps: float, hands: Collection[str] = ()) -> MotionClip:
     """The clip of a plan.
 
     Args:
         wanted_w_m: (T, 22, 3) positions as R2G gives them; row 0 is the last prefix frame.
         contacts: (T, 4) predicted contact of left ankle, left toe, right ankle, right toe, about 0..1.
         fps: rate of the frames.
+        hands: sides whose wrist is put where it is wanted.
 
     Returns:
         the T - 1 planned frames, bone lengths exact.
@@ -63,4 +67,6 @@ def with_planted_feet(wanted_w_m: Array, contacts: Array, fps: float) -> MotionC
         lifted = body[:, ankle].copy()
         lifted[:, 2] += np.maximum(-sole, 0.0)
         body = solve_leg(body, side, lifted)
+        if side in hands:
+            body = solve_arm(body, side, wanted_w_m[:, CANONICAL.index(f"{side}_wrist")])
     return clip_from_positions(body[1:], fps, rebuild=True)

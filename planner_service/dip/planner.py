@@ -16,6 +16,7 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
+from planner_service.dip.aiming import AIMED_STEPS, aimed, hands_of
 from planner_service.dip.conditions import JOINT_SLOTS
 from planner_service.dip.diffusion import cosine_schedule, respaced, sample, spread_steps
 from planner_service.dip.feet import with_planted_feet
@@ -212,7 +213,7 @@ class DipPlanner:
         planned = self._denormalized(noise, prefix, wishes, text, mask, torch.tensor(guidance))
         sampled = time.monotonic()
         plans = [
-            self._to_plan(request, features, prefixes[i], states[i], wishes.ignored[i], guidance[i])
+            self._to_plan(request, features, prefixes[i], states[i], wishes, i, guidance[i])
             for i, (request, features) in enumerate(zip(requests, planned, strict=True))
         ]
         timings = {
@@ -287,20 +288,29 @@ class DipPlanner:
                 guided, free = out[: len(mask)], out[len(mask) :]
                 scale = fine if self._steps[position] < first_fine else coarse
                 guided[both] = free + scale * (guided[both] - free)
-                return guided
+                if not wishes.aims or self._steps[position] >= AIMED_STEPS:
+                    return guided
+                return self._normalizer.normalize(aimed(self._normalizer.denormalize(guided), wishes.aims))
 
             planned = self._normalizer.denormalize(sample(self._schedule, denoise, noise))
         return planned.double().numpy()
 
     def _to_plan(
-        self, request: PlanRequest, planned: Array, prefix: Array, state: RootState, ignored: list[str], guidance: float
+        self,
+        request: PlanRequest,
+        planned: Array,
+        prefix: Array,
+        state: RootState,
+        wishes: Wishes,
+        row: int,
+        guidance: float,
     ) -> Plan:
-        """World clip of one sample, its bones of exact length."""
+        """World clip of one sample, the `row` of its batch, its bones of exact length."""
         features = np.concatenate([prefix[-1:], planned[: request.horizon_frames]])
         if not np.isfinite(features).all():
             raise SimulationError("the diffusion planner gave values that are not finite")
         positions = features_to_global(features, PLANNER_FPS, state)
-        clip = with_planted_feet(positions, features[:, CONTACTS], PLANNER_FPS)
+        clip = with_planted_feet(positions, features[:, CONTACTS], PLANNER_FPS, hands_of(wishes.aims, row))
         return Plan(
             planner="dip",
             weights_id=self._weights_id,
@@ -309,7 +319,7 @@ class DipPlanner:
             positions_w_m=clip.positions_w_m,
             rotations_6d=clip.rotations_6d,
             seed=request.seed,
-            ignored_conditions=ignored,
+            ignored_conditions=wishes.ignored[row],
             guidance=guidance if request.text is not None else None,
         )
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from planner_service.dip.aiming import Aim, aims_of
 from planner_service.dip.conditions import JOINT_SLOTS, KeyframeBatch, TargetBatch, VelocityBatch
 from planner_service.dip.config import DipConfig
 from shared.motion.features import RootState, to_root_frame
@@ -34,7 +35,7 @@ class Wishes:
     """Conditions of B requests.
 
     Attributes:
-        targets: (B, TARGET_NUMBERS).
+        targets: (B, TARGET_NUMBERS). aims: the same places, to be kept while a plan is sampled.
         keyframes: (B, N, KEYFRAME_NUMBERS) and velocity: (B, VELOCITY_NUMBERS); None for weights without them.
         placed: for each request, whether a place or a velocity is asked for that guidance on the text would pull
             away from.
@@ -42,6 +43,7 @@ class Wishes:
     """
 
     targets: Tensor
+    aims: list[Aim]
     keyframes: Tensor | None
     velocity: Tensor | None
     placed: list[bool]
@@ -76,6 +78,7 @@ def read_wishes(
         placed = [before or bool(valid) for before, valid in zip(placed, velocity.valid, strict=True)]
     return Wishes(
         targets=targets.vector(frames),
+        aims=aims_of(targets, keys),
         keyframes=None if keys is None else keys.vector(),
         velocity=None if velocity is None else velocity.vector(),
         placed=placed,

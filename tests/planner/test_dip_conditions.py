@@ -18,6 +18,7 @@ from planner_service.dip.weights import DipWeights, load_weights, save_weights
 from planner_service.dip.wishes import read_wishes
 from shared.errors import InvalidInputError
 from shared.motion.features import RootState, global_to_features
+from shared.motion.ik import standing_clip
 from shared.motion.resampling import finite_velocity
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import JointTarget, PlanRequest
@@ -75,13 +76,26 @@ def planner(weights: DipWeights) -> DipPlanner:
 
 
 def test_conditions_added_to_weights_change_nothing_until_they_are_trained(plain: DipWeights) -> None:
-    """Also with keys and a velocity asked for; guidance is given, since its default follows what is asked for."""
+    """Also with keys of feet, which only the network heeds, and a velocity asked for; guidance is given, since its
+    default follows what is asked for."""
     more = replace(plain, network=with_conditions(plain.network, ("keyframes", "velocity")).requires_grad_(False))
-    asked = request(**keys((60, WRIST, (1.0, 0.2, 1.1))), desired_velocity_w_mps=(1.0, 0.0), guidance=3.0)
+    foot = CANONICAL.index("left_foot")
+    asked = request(**keys((60, foot, (1.0, 0.2, 0.1))), desired_velocity_w_mps=(1.0, 0.0), guidance=3.0)
     before, after = planner(plain).plan([asked])[0], planner(more).plan([asked])[0]
     np.testing.assert_array_equal(after.positions_w_m, before.positions_w_m)
     np.testing.assert_array_equal(planner(more).plan([request()])[0].positions_w_m,
                                   planner(plain).plan([request()])[0].positions_w_m)  # fmt: skip
+
+
+def test_the_shipped_planner_brings_a_hand_to_its_key_and_to_its_target() -> None:
+    shipped = DipPlanner.load(settings=DipSettings(bf16=False, runtime="torch"))
+    prefix = standing_clip(20, 20).positions_w_m
+    body = {"prefix_positions_w_m": prefix, "prefix_velocities_w_mps": np.zeros((20, 22, 3)), "text": "stand"}
+    place = tuple(map(float, prefix[-1, WRIST] + np.array([0.12, 0.04, 0.12], np.float32)))
+    keyed = request(**body, **keys((75, WRIST, place)))  # both due 1.5 s ahead
+    told = request(**body, targets=[JointTarget(joint="left_wrist", position_w_m=place, arrival_tick=75)])
+    for plan in shipped.plan([keyed, told]):
+        assert np.linalg.norm(plan.positions_w_m[29, WRIST] - place) < 0.04
 
 
 def test_a_condition_unknown_is_refused_by_name(plain: DipWeights) -> None:
