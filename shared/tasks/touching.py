@@ -81,12 +81,15 @@ class Tipping:
         return bool(rate_radps > 0 and rate_radps**2 > TO_SPARE * wanted)
 
 
-def worth_of_blow(positions_w_m: Array, fps: float, scale: float, solid: Upright, limb: Sequence[str]) -> float:
-    """How good a planned blow is: the more the longer the limb is there before anything else, and the faster.
+def worth_of_blow(
+    positions_w_m: Array, fps: float, scale: float, solid: Upright, limb: Sequence[str], speed_worth: float
+) -> float:
+    """How good a planned blow is: the more the longer the limb is there before anything else, and maybe the faster.
 
     Args:
         positions_w_m: (T, 22, 3) at `fps`. scale: size of the body against the canonical one.
         limb: joints of the bodies that may touch; the last one is what strikes.
+        speed_worth: of a metre a second of what strikes.
 
     Returns:
         Above 1 where the limb touches first, `CLUMSY` where something else does, between where nothing does: minus the
@@ -109,7 +112,7 @@ def worth_of_blow(positions_w_m: Array, fps: float, scale: float, solid: Upright
     lead_s = (by_other[0] - by_limb[0]) / rate if len(by_other) else LEAD_S
     end, back = poses[:, CANONICAL.index(limb[-1])], max(round(SPEED_S * rate), 1)
     way = np.linalg.norm(end[by_limb[0]] - end[max(by_limb[0] - back, 0)])
-    return 1.0 + min(lead_s, LEAD_S) / LEAD_S + 0.2 * float(way) * rate / back
+    return 1.0 + min(lead_s, LEAD_S) / LEAD_S + speed_worth * float(way) * rate / back
 
 
 def _cylinder(part: Part) -> tuple[float, float, float]:

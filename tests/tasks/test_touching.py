@@ -23,8 +23,8 @@ def moving(joint: str, to_m: tuple[float, float, float], frames: int = 11) -> np
     return out
 
 
-def worth(motion: np.ndarray, limb: tuple[str, ...] = FIST, solid: Upright = BAG) -> float:
-    return worth_of_blow(motion, 20.0, 1.0, solid, limb)
+def worth(motion: np.ndarray, limb: tuple[str, ...] = FIST, solid: Upright = BAG, speed_worth: float = 0.2) -> float:
+    return worth_of_blow(motion, 20.0, 1.0, solid, limb, speed_worth)
 
 
 def test_every_joint_has_a_radius() -> None:
@@ -37,6 +37,7 @@ def test_a_limb_that_is_there_alone_is_worth_more_than_one_and_more_the_faster_i
     # Alone to the end: the whole lead; 0.2 for each metre a second.
     assert slow == pytest.approx(2.0 + 0.2 * way / 0.5)
     assert fast == pytest.approx(2.0 + 0.2 * way / 0.2)
+    assert worth(moving("right_wrist", (0.6, 0.0, 1.3), frames=5), speed_worth=0.0) == pytest.approx(2.0)
 
 
 def test_a_foot_at_the_base_spoils_it_and_counts_only_as_low_as_the_base_is() -> None:
