@@ -241,8 +241,9 @@ class GetUpTask(Task):
         """Fix the place, or sit down first; raises InvalidInputError where the scene has no such seat."""
         spec = self._spec
         self._target, self._sit, self._begin_tick = None, None, view.tick
-        self._was_low = bool(view.pos_w_m[PELVIS, 2] < LOW_SHARE * spec.height_m * view.scale)
         self._seat = marked_object(view, spec.mark) if spec.from_ == "seat" else None
+        low = bool(view.pos_w_m[PELVIS, 2] < LOW_SHARE * spec.height_m * view.scale)
+        self._was_low = low or (self._seat is not None and _sits_on(self._seat, view))
         if self._seat is not None and spec.sit_first and not self._was_low:
             self._sit = SitTask(SitSpec(mark=spec.mark, guidance=spec.guidance))
             self._sit.start(view)
@@ -320,6 +321,16 @@ class GetUpTask(Task):
     def _outcome(self, trace: Trace) -> object_rules.Outcome:
         """Of the rise alone, where sitting down came before it."""
         return object_rules.get_up(trace.since(self._begin_tick), self.target_w_m, self._spec.from_ == "floor")
+
+
+def _sits_on(seat: MarkedObject, view: BodyView) -> bool:
+    """Whether the pelvis is over a seat and as near to its top as a sitter's, on a seat too high to be low."""
+    place = seat.place(view)
+    out = np.array([cos(place.heading_rad), sin(place.heading_rad)])
+    away = view.pelvis_xy_m - place.position_w_m[:2]
+    over = np.abs([away @ out, away @ np.array([-out[1], out[0]])]) <= seat.half_size_m
+    above = float(view.pos_w_m[PELVIS, 2]) - float(place.position_w_m[2])
+    return bool(over.all()) and above < (SitSpec().above_m + SEATED_M) * view.scale
 
 
 def _known(seat: MarkedObject | None) -> MarkedObject:

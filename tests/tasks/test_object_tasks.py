@@ -14,7 +14,8 @@ from shared.motion.ik import standing_clip
 from shared.motion.rotations import matrix_about_z
 from shared.motion.skeleton import CANONICAL
 from shared.scenes.files import load_scene
-from shared.scenes.placing import pose_of
+from shared.scenes.placing import pose_of, sampled
+from shared.scenes.schema import RandomRanges
 from shared.tasks import object_rules
 from shared.tasks.factory import KINDS, TaskSpec, make_task
 from shared.tasks.interface import RISE_PLANNER, BodyView, Trace
@@ -222,6 +223,22 @@ def test_a_sitter_walks_round_the_sofa_turns_and_goes_down() -> None:
     # Where no seat was met it begins anew, with the walk to the front.
     late = task.goal(view("sofa", 1.5, facing=pi, tick=60 + 200), 60 + 200)
     assert late.text == "a person is walking."
+
+
+@pytest.mark.parametrize(("aside_m", "above_m", "low"), [(0.0, 0.12, 1.0), (0.0, 0.3, 0.0), (1.5, 0.12, 0.0)])
+def test_who_sits_on_a_high_seat_sits_though_the_pelvis_is_high(aside_m: float, above_m: float, low: float) -> None:
+    sofa = load_scene("sofa")
+    (body,) = sofa.bodies
+    ranges = RandomRanges(size=(1.0, 1.0), height=(1.72, 1.72))
+    high = sampled(sofa.model_copy(update={"bodies": (body.model_copy(update={"random": ranges}),)}), 0)
+    mark = high.marks["seat_centre"].position_b_m
+    assert mark is not None and mark[2] > 0.58
+    seen = view("sofa", -1.3, aside_m, lift=mark[2] + above_m - float(STAND[0, 2]))
+    seen = replace(seen, scene=high, objects={"sofa": np.asarray(pose_of(high.bodies[0]), dtype=np.float64)})
+    task = make_task(GetUpSpec.model_validate({"sit_first": False}), 0)
+    task.start(seen)
+    trace = Trace(0, np.repeat(seen.pos_w_m[None], 3, axis=0), np.zeros(3, dtype=bool))
+    assert task.judge(trace).measures["was_low"] == low
 
 
 def test_getting_up_goes_over_the_feet_and_ends_before_the_seat_or_where_it_lay() -> None:
