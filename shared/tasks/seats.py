@@ -30,6 +30,8 @@ FACING_RAD = 0.6
 FROM_EDGE_M = 0.25
 """So far behind the seat's edge the pelvis is put: a little more than in the motion that sits and rises are learnt
 from (0.2 m), where the seat ends behind the body and nobody slides off its front."""
+HIGH_SEAT_M, DEEPER_M = (0.45, 0.6), 0.1
+"""Over these heights of a seat it is put so much farther in: on a high one no foot holds who sits on the edge."""
 ELBOW_ROOM_M = 0.3
 ON_IT_M, SEATED_M = 0.15, 0.08
 """A pelvis less than this above where it should be is on the seat, and sits."""
@@ -74,7 +76,9 @@ def place_on(seat: MarkedObject, view: BodyView) -> Array:
     along, across = seat.half_size_m
     most = max(across - ELBOW_ROOM_M, 0.0)
     aside = float(np.clip((view.pelvis_xy_m - place.position_w_m[:2]) @ left, -most, most))
-    return np.asarray(place.position_w_m[:2] + out * max(along - FROM_EDGE_M * view.scale, 0.0) + left * aside)
+    top = float(place.position_w_m[2]) / view.scale
+    deep = FROM_EDGE_M + float(np.interp(top, HIGH_SEAT_M, (0.0, DEEPER_M)))
+    return np.asarray(place.position_w_m[:2] + out * max(along - deep * view.scale, 0.0) + left * aside)
 
 
 def way_round(place: Place, half_size_m: tuple[float, float], here_xy_m: Array, front_xy_m: Array) -> Array:
@@ -158,7 +162,7 @@ class SitTask(Task):
         if self._begun_tick is None:
             self._begun_tick, self._aim = plan_tick, place_on(seat, view)
             aim = self._aim
-        seated = on_it and pelvis[2] < top + SEATED_M
+        seated = on_it and pelvis[2] < top + SEATED_M and _over(seat, view)
         if seated and self._spot is None:
             self._spot = view.pelvis_xy_m.copy()
         if not seated:
@@ -325,12 +329,16 @@ class GetUpTask(Task):
 
 def _sits_on(seat: MarkedObject, view: BodyView) -> bool:
     """Whether the pelvis is over a seat and as near to its top as a sitter's, on a seat too high to be low."""
+    above = float(view.pos_w_m[PELVIS, 2]) - float(seat.place(view).position_w_m[2])
+    return _over(seat, view) and above < (SitSpec().above_m + SEATED_M) * view.scale
+
+
+def _over(seat: MarkedObject, view: BodyView) -> bool:
+    """Whether the pelvis is over the seat's area."""
     place = seat.place(view)
     out = np.array([cos(place.heading_rad), sin(place.heading_rad)])
     away = view.pelvis_xy_m - place.position_w_m[:2]
-    over = np.abs([away @ out, away @ np.array([-out[1], out[0]])]) <= seat.half_size_m
-    above = float(view.pos_w_m[PELVIS, 2]) - float(place.position_w_m[2])
-    return bool(over.all()) and above < (SitSpec().above_m + SEATED_M) * view.scale
+    return bool((np.abs([away @ out, away @ np.array([-out[1], out[0]])]) <= seat.half_size_m).all())
 
 
 def _known(seat: MarkedObject | None) -> MarkedObject:

@@ -14,7 +14,7 @@ from planner_service.dip.conditions import JOINT_SLOTS, SLOT_JOINTS, KeyframeBat
 from planner_service.dip.features_torch import plan_to_positions
 from planner_service.training.dataset import WindowSampler, load_material
 from shared.data.corpus import Corpus
-from shared.motion.features import ROOT_VELOCITY
+from shared.motion.features import ROOT_HEIGHT, ROOT_VELOCITY
 from shared.motion.skeleton import CANONICAL
 from tests.planner.dip_helpers import write_small_corpus
 
@@ -79,9 +79,20 @@ def test_the_root_is_moved_no_faster_than_legs_can(plans: Tensor) -> None:
     assert left == pytest.approx(2.0 - MOST_ROOT_MPS * FRAME / 20, abs=1e-3)
 
 
-@pytest.mark.parametrize(("slot", "down_m"), [("left_foot", 0.0), ("pelvis", -0.5)])
-def test_a_foot_alone_and_a_seat_are_the_networks_business(plans: Tensor, slot: str, down_m: float) -> None:
-    assert asked(plans, slot, torch.tensor([0.0, 0.1, down_m]))[0] == []
+def test_a_foot_alone_is_the_networks_business(plans: Tensor) -> None:
+    assert asked(plans, "left_foot", torch.tensor([0.0, 0.1, 0.0]))[0] == []
+
+
+@pytest.mark.parametrize(("sunk_m", "lifted_m"), [(0.06, 0.06), (-0.06, 0.0)])
+def test_who_sits_is_lifted_out_of_the_seat_and_moved_no_other_way(
+    plans: Tensor, sunk_m: float, lifted_m: float
+) -> None:
+    seated = plans.clone()
+    seated[:, :, ROOT_HEIGHT] -= 0.5
+    aims, _ = asked(seated, "pelvis", torch.tensor([0.1, 0.1, sunk_m]))
+    before, after = (plan_to_positions(p, 20)[0] for p in (seated, aimed(seated, aims)))
+    assert float((after - before)[0, FRAME - 1, PELVIS, 2]) == pytest.approx(lifted_m, abs=1e-5)
+    torch.testing.assert_close(after[..., :2], before[..., :2])
 
 
 def test_a_pose_is_kept_with_its_feet(plans: Tensor) -> None:

@@ -225,20 +225,40 @@ def test_a_sitter_walks_round_the_sofa_turns_and_goes_down() -> None:
     assert late.text == "a person is walking."
 
 
-@pytest.mark.parametrize(("aside_m", "above_m", "low"), [(0.0, 0.12, 1.0), (0.0, 0.3, 0.0), (1.5, 0.12, 0.0)])
-def test_who_sits_on_a_high_seat_sits_though_the_pelvis_is_high(aside_m: float, above_m: float, low: float) -> None:
+HIGH_M = 0.592
+
+
+def on_high_sofa(x: float, y: float, above_m: float) -> BodyView:
+    """The body with its pelvis so far above the top of a sofa of HIGH_M."""
     sofa = load_scene("sofa")
     (body,) = sofa.bodies
     ranges = RandomRanges(size=(1.0, 1.0), height=(1.72, 1.72))
     high = sampled(sofa.model_copy(update={"bodies": (body.model_copy(update={"random": ranges}),)}), 0)
     mark = high.marks["seat_centre"].position_b_m
-    assert mark is not None and mark[2] > 0.58
-    seen = view("sofa", -1.3, aside_m, lift=mark[2] + above_m - float(STAND[0, 2]))
-    seen = replace(seen, scene=high, objects={"sofa": np.asarray(pose_of(high.bodies[0]), dtype=np.float64)})
+    assert mark is not None and mark[2] == pytest.approx(HIGH_M, abs=0.01)
+    here = view("sofa", x, y, lift=mark[2] + above_m - float(STAND[0, 2]))
+    return replace(here, scene=high, objects={"sofa": np.asarray(pose_of(high.bodies[0]), dtype=np.float64)})
+
+
+@pytest.mark.parametrize(("aside_m", "above_m", "low"), [(0.0, 0.12, 1.0), (0.0, 0.3, 0.0), (1.5, 0.12, 0.0)])
+def test_who_sits_on_a_high_seat_sits_though_the_pelvis_is_high(aside_m: float, above_m: float, low: float) -> None:
+    seen = on_high_sofa(-1.3, aside_m, above_m)
     task = make_task(GetUpSpec.model_validate({"sit_first": False}), 0)
     task.start(seen)
     trace = Trace(0, np.repeat(seen.pos_w_m[None], 3, axis=0), np.zeros(3, dtype=bool))
     assert task.judge(trace).measures["was_low"] == low
+
+
+def test_on_a_high_seat_one_sits_deeper_and_who_hangs_on_its_edge_goes_on_sitting_down() -> None:
+    stands, hangs, sits = (on_high_sofa(*at) for at in ((-0.6, 0.0, 0.36), (-0.95, 0.0, 0.12), (-1.1, 0.0, 0.12)))
+    task = make_task(SitSpec(), 0)
+    task.start(stands)
+    place = task.goal(stands, 0).targets[0].position_w_m
+    assert place[0] == pytest.approx(-1.3)  # the middle of the seat: no deeper
+    for seen, wanted in ((hangs, place[0]), (sits, -1.1)):
+        goal = task.goal(replace(seen, tick=60), 60)
+        assert goal.targets[0].position_w_m[0] == pytest.approx(wanted)
+        assert ("sitting down" in str(goal.text)) is (seen is hangs)
 
 
 def test_getting_up_goes_over_the_feet_and_ends_before_the_seat_or_where_it_lay() -> None:
