@@ -33,8 +33,8 @@ MOST_M = 0.25
 MOST_ROOT_MPS = 0.2
 """The way of the root is changed by at most this mean speed, which legs can do."""
 UPRIGHT_M = 0.7
-"""To a lower pelvis the root is only lifted: of 60 who were put where they should sit 6 fell, of 60 left alone none. But
-plans that sink into a high seat push the body off it: of 34 on seats above 0.5 m 24 kept sitting, 30 with the lift."""
+"""To a lower pelvis the root is only lifted: of 60 who were put where they should sit 6 fell, of 60 left alone none.
+But plans that sink into a high seat push the body off it: of 34 above 0.5 m 24 kept sitting, 30 with the lift."""
 ROOT = CANONICAL.index("pelvis")
 FEET = frozenset(CANONICAL.index(f"{side}_{name}") for side in ("left", "right") for name in ("ankle", "foot"))
 HALFWAY = {"wrist": "elbow", "ankle": "knee", "foot": "knee"}

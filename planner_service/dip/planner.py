@@ -124,7 +124,8 @@ class DipPlanner:
         weights: from `load_weights`.
         encoder: the text encoder that the weights were trained with; cached here.
         settings: see DipSettings.
-        known: the sentences that the weights were trained on; None where that is not known.
+        known: the sentences that the weights were trained on; an unseen text is planned for as the one of them that
+            it is taken for (`Plan.understood`). None where they are not known.
         dip: what runs the network in place of what the settings choose.
     """
 
@@ -171,11 +172,16 @@ class DipPlanner:
         return cls(load_weights(path or SHIPPED), minilm(), settings, KnownSentences.load())
 
     def read_text(self, text: str) -> TextRead:
-        """The training sentence nearest to a text."""
+        """The training sentence nearest to a text, and the one it is planned for as."""
         if self._known is None:
             return TextRead()
         found = self._known.nearest(text, self._texts)
-        return TextRead(nearest=found.sentence, similarity=round(found.similarity, 4), far=found.far)
+        return TextRead(
+            nearest=found.sentence,
+            similarity=round(found.similarity, 4),
+            far=found.far,
+            taken_as=found.taken_as,
+        )
 
     @property
     def runs_in(self) -> str:
@@ -205,7 +211,8 @@ class DipPlanner:
         states = [root_state(request.prefix_positions_w_m[-1]) for request in requests]
         wishes = read_wishes(requests, states, self._config, self._settings.step_m)
         encoded = time.monotonic()
-        text, mask = self._encode([request.text for request in requests])
+        taken_as = [None if r.text is None else self.read_text(r.text).taken_as for r in requests]
+        text, mask = self._encode([taken or r.text for taken, r in zip(taken_as, requests, strict=True)])
         embedded = time.monotonic()
         prefix = self._normalizer.normalize(torch.from_numpy(np.stack(prefixes)).float())
         guidance = [self._guidance(request, placed) for request, placed in zip(requests, wishes.placed, strict=True)]
@@ -222,7 +229,10 @@ class DipPlanner:
             "diffusion": (sampled - embedded) * 1e3,
             "decode": (time.monotonic() - sampled) * 1e3,
         }
-        plans = [plan.model_copy(update={"timings_ms": timings}) for plan in plans]
+        plans = [
+            plan.model_copy(update={"timings_ms": timings, "understood": taken})
+            for plan, taken in zip(plans, taken_as, strict=True)
+        ]
         hard = [i for i, plan in enumerate(plans) if self._too_hard(requests[i], plan, guidance[i])]
         again = self.plan([requests[i].model_copy(update={"guidance": EASIER_GUIDANCE}) for i in hard])
         for i, plan in zip(hard, again, strict=True):

@@ -1,4 +1,4 @@
-"""The sentences that the shipped weights were trained on, and which of them is nearest to a text.
+"""The sentences that the shipped weights were trained on, and which of them a text is taken for.
 
 Distance is by embedding and not by vocabulary: "somebody dashes" is near to "someone runs" although they share no word.
 Each sentence is kept as the mean over its tokens' features (the pooled token of `text.encoder`), made by
@@ -7,27 +7,37 @@ Each sentence is kept as the mean over its tokens' features (the pooled token of
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from planner_service.text.encoder import TextEncoder
+from planner_service.text.meaning import MeaningHead
 from shared.errors import InvalidInputError
 
 SHIPPED_SENTENCES = Path(__file__).resolve().parent.parent / "weights" / "sentences.npz"
 FAR_BELOW = 0.52
 """A cosine below this is far: most paraphrases of what is trained lie above 0.55, most other activities below 0.45
 (`tests/planner/test_known_sentences.py` has both)."""
+SAME_ABOVE = 0.9
+"""A cosine above this is a trained sentence in other words: such a text is planned for as it is."""
 
 
 @dataclass(frozen=True)
 class Nearest:
-    """A training sentence and the cosine (at most 1) of its embedding with the text's."""
+    """A training sentence and the cosine (at most 1) of its embedding with the text's.
+
+    Attributes:
+        taken_as: the training sentence that is planned for in place of the text; None where that is the text itself.
+    """
 
     sentence: str
     similarity: float
+    taken_as: str | None = None
 
     @property
     def far(self) -> bool:
@@ -42,30 +52,67 @@ class KnownSentences:
         sentences: N of them.
         embeddings: (N, D), any length.
         encoder: name of the encoder that made them.
+        meanings: of each sentence one or more of the head's; texts are planned for as they are where there are none.
+        head: what a text means.
     """
 
-    def __init__(self, sentences: tuple[str, ...], embeddings: npt.NDArray[np.floating], encoder: str):
+    def __init__(
+        self,
+        sentences: tuple[str, ...],
+        embeddings: npt.NDArray[np.floating],
+        encoder: str,
+        meanings: Sequence[Sequence[str]] = (),
+        head: MeaningHead | None = None,
+    ):
         self.sentences = sentences
         self.encoder = encoder
+        self.head = head
+        self._meanings = tuple(tuple(each) for each in meanings)
         self._unit = _unit(np.asarray(embeddings, dtype=np.float32))
+        self._of: Mapping[str, npt.NDArray[np.intp]] = {
+            meaning: np.array([i for i, each in enumerate(self._meanings) if meaning in each])
+            for meaning in {name for each in self._meanings for name in each}
+        }
 
     @classmethod
     def load(cls, path: Path = SHIPPED_SENTENCES) -> KnownSentences:
         """From a file of `save`."""
         with np.load(path, allow_pickle=False) as data:
-            return cls(tuple(str(s) for s in data["sentences"]), data["embeddings"], str(data["encoder"]))
+            head = None
+            if "head_weights" in data:
+                names = tuple(str(name) for name in data["head_names"])
+                head = MeaningHead(names, *(data[f"head_{part}"].astype(np.float32) for part in ("weights", "bias")))
+            meanings = [str(each).split() for each in data["meanings"]] if "meanings" in data else ()
+            return cls(
+                tuple(str(s) for s in data["sentences"]), data["embeddings"], str(data["encoder"]), meanings, head
+            )
 
     def save(self, path: Path) -> None:
-        """Write sentences and embeddings (float16)."""
+        """Write sentences, embeddings and the head (float16)."""
+        more: dict[str, Any] = {}
+        if self.head is not None:
+            more = {
+                "meanings": np.array([" ".join(each) for each in self._meanings]),
+                "head_names": np.array(self.head.names),
+                "head_weights": self.head.weights.astype(np.float16),
+                "head_bias": self.head.bias.astype(np.float16),
+            }
         np.savez_compressed(
             path,
             sentences=np.array(self.sentences),
             embeddings=self._unit.astype(np.float16),
             encoder=np.array(self.encoder),
+            **more,
         )
 
     def nearest(self, text: str, encoder: TextEncoder) -> Nearest:
-        """The sentence nearest to a text. Raises InvalidInputError for another encoder than the one that made them."""
+        """The sentence nearest to a text, and the one it is taken for: the nearest of those that mean the same.
+
+        Neither a text that says almost what a sentence does nor one that is far from all is taken for another.
+
+        Raises:
+            InvalidInputError: another encoder than the one that made them.
+        """
         if encoder.spec.name != self.encoder:
             raise InvalidInputError(
                 f"these sentences were embedded by another encoder than {encoder.spec.name!r}",
@@ -73,9 +120,15 @@ class KnownSentences:
                 allowed=self.encoder,
             )
         plain = " ".join(text.strip().rstrip(".!").lower().split())
-        cosines = self._unit @ _unit(encoder.encode([plain])[0][0])
+        embedding = _unit(encoder.encode([plain])[0][0])
+        cosines = self._unit @ embedding
         best = int(np.argmax(cosines))
-        return Nearest(self.sentences[best], float(min(cosines[best], 1.0)))
+        similarity = float(min(cosines[best], 1.0))
+        taken_as = None
+        if self.head is not None and FAR_BELOW <= similarity < SAME_ABOVE:
+            same = self._of.get(self.head.most_likely(embedding))
+            taken_as = None if same is None else self.sentences[int(same[np.argmax(cosines[same])])]
+        return Nearest(self.sentences[best], similarity, taken_as)
 
 
 def _unit(rows: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:

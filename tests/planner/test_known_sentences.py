@@ -12,6 +12,8 @@ pytest.importorskip("torch")
 from planner_service.text.encoder import TextEncoder
 from planner_service.text.known import KnownSentences
 from planner_service.text.pretrained import minilm
+from planner_service.training.sentences import fit, meanings_of_sentences
+from shared.data.texts import PARAPHRASES, sentences
 
 NEAR = """walk forward | a person is walking. | somebody jogs | sprint | make a left turn | leap into the air
 stand idle | a guy is waving his left arm | person running fast | someone dashes ahead | stroll along
@@ -52,3 +54,41 @@ def test_saved_and_loaded_they_are_the_same(encoder: TextEncoder, tmp_path: Path
     made = KnownSentences(("walk", "run"), np.stack([f[0] for f in encoder.encode(["walk", "run"])]), encoder.spec.name)
     made.save(tmp_path / "few.npz")
     assert KnownSentences.load(tmp_path / "few.npz").nearest("run", encoder).sentence == "run"
+
+
+def test_unseen_sentences_are_taken_for_known_ones_of_the_same_meaning(
+    known: KnownSentences, encoder: TextEncoder
+) -> None:
+    meant = meanings_of_sentences()
+    right, cases = 0, 0
+    for action, written in PARAPHRASES.items():
+        for sentence in written:
+            for side in ("left", "right") if "{s}" in sentence else ("",):
+                (text,) = sentences(action, side, {action: (sentence,)})
+                found = known.nearest(text, encoder)
+                cases += 1
+                right += (f"{action}:{side}" if side else action) in meant.get(found.taken_as or found.sentence, [])
+    assert cases > 200
+    assert right / cases >= 0.8  # .83; the nearest sentences alone: .62
+
+
+def test_neither_a_known_sentence_nor_nonsense_is_taken_for_another(
+    known: KnownSentences, encoder: TextEncoder
+) -> None:
+    for text in [*known.sentences[::40], *lines(FAR)]:
+        assert known.nearest(text, encoder).taken_as is None
+    left, right = (known.nearest(f"kick it with your {side} foot", encoder).taken_as for side in ("left", "right"))
+    assert left and right and "left" in left and "right" in right
+
+
+def test_a_head_of_two_meanings_tells_them_apart_saved_and_loaded_too(encoder: TextEncoder, tmp_path: Path) -> None:
+    texts = ("walk forward", "a person walks", "run fast", "a person runs")
+    rows = np.stack([f[0] for f in encoder.encode(list(texts))])
+    rows /= np.linalg.norm(rows, axis=-1, keepdims=True)
+    meanings = ("walk", "walk", "run", "run")
+    made = KnownSentences(texts, rows, encoder.spec.name, [(m,) for m in meanings], fit(rows, meanings))
+    made.save(tmp_path / "few.npz")
+    loaded = KnownSentences.load(tmp_path / "few.npz")
+    for known in (made, loaded):
+        taken = known.nearest("somebody is sprinting really quickly", encoder).taken_as
+        assert taken is not None and "run" in taken
