@@ -69,7 +69,7 @@ def test_unseen_sentences_are_taken_for_known_ones_of_the_same_meaning(
                 cases += 1
                 right += (f"{action}:{side}" if side else action) in meant.get(found.taken_as or found.sentence, [])
     assert cases > 200
-    assert right / cases >= 0.8  # .83; the nearest sentences alone: .62
+    assert right / cases >= 0.8  # .84; the nearest sentences alone: .62
 
 
 def test_neither_a_known_sentence_nor_nonsense_is_taken_for_another(
