@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,12 +22,13 @@ from planner_service.dip.conditions import JOINT_SLOTS
 from planner_service.dip.diffusion import cosine_schedule, respaced, sample, spread_steps
 from planner_service.dip.feet import with_planted_feet
 from planner_service.dip.folded import Conditions, Denoising, FoldedDip
+from planner_service.dip.manner import SWUNG_STEPS, Manner, manner_of, swung
 from planner_service.dip.network import DipNetwork
 from planner_service.dip.runtime import Runtime, choose_blocks, usual_steps
 from planner_service.dip.weights import SHIPPED, DipWeights, load_weights
 from planner_service.dip.wishes import Wishes, read_wishes
 from planner_service.text.encoder import CachedTextEncoder, TextEncoder, pad_tokens
-from planner_service.text.known import KnownSentences
+from planner_service.text.known import KnownSentences, Nearest
 from planner_service.text.pretrained import minilm
 from shared.errors import InvalidInputError, SimulationError
 from shared.motion.features import (
@@ -87,8 +89,9 @@ class DipSettings(BaseModel):
     """How requests are turned into conditions.
 
     Attributes:
-        guidance: classifier-free guidance scale on the text, where a request gives none and has no target; less of it
-            for a body that moves fast, see `eased`.
+        guidance: classifier-free guidance scale on the text, where a request gives none and has no target, and its
+            text means nothing that has a manner of its own (`manner.MANNERS`); less of it for a body that moves fast,
+            see `eased`.
         target_guidance: the same for requests with a target of a joint, or with keyframes or a velocity that the
             weights take. Guidance pulls a plan toward what is typical of its text and so away from its target; 1 is
             none (and half the work).
@@ -173,15 +176,18 @@ class DipPlanner:
 
     def read_text(self, text: str) -> TextRead:
         """The training sentence nearest to a text, and the one it is planned for as."""
-        if self._known is None:
+        found = self._read(text)
+        if found is None:
             return TextRead()
-        found = self._known.nearest(text, self._texts)
         return TextRead(
             nearest=found.sentence,
             similarity=round(found.similarity, 4),
             far=found.far,
             taken_as=found.taken_as,
         )
+
+    def _read(self, text: str | None) -> Nearest | None:
+        return None if text is None or self._known is None else self._known.nearest(text, self._texts)
 
     @property
     def runs_in(self) -> str:
@@ -211,13 +217,15 @@ class DipPlanner:
         states = [root_state(request.prefix_positions_w_m[-1]) for request in requests]
         wishes = read_wishes(requests, states, self._config, self._settings.step_m)
         encoded = time.monotonic()
-        taken_as = [None if r.text is None else self.read_text(r.text).taken_as for r in requests]
+        read = [self._read(request.text) for request in requests]
+        taken_as = [None if near is None else near.taken_as for near in read]
         text, mask = self._encode([taken or r.text for taken, r in zip(taken_as, requests, strict=True)])
         embedded = time.monotonic()
         prefix = self._normalizer.normalize(torch.from_numpy(np.stack(prefixes)).float())
-        guidance = [self._guidance(request, placed) for request, placed in zip(requests, wishes.placed, strict=True)]
+        manners = [self._manner(r, near, p) for r, near, p in zip(requests, read, wishes.placed, strict=True)]
+        guidance = [manner.guidance for manner in manners]
         noise = torch.stack([self._noise(r.seed) for r in requests], dim=1)
-        planned = self._denormalized(noise, prefix, wishes, text, mask, torch.tensor(guidance))
+        planned = self._denormalized(noise, prefix, wishes, text, mask, manners)
         sampled = time.monotonic()
         plans = [
             self._to_plan(request, features, prefixes[i], states[i], wishes, i, guidance[i])
@@ -248,10 +256,14 @@ class DipPlanner:
         motion = np.concatenate([request.prefix_positions_w_m[-SPAN_FRAMES:], plan.positions_w_m])
         return hardest_mps2(motion) > LEGS_MPS2
 
-    def _guidance(self, request: PlanRequest, placed: bool) -> float:
+    def _manner(self, request: PlanRequest, read: Nearest | None, placed: bool) -> Manner:
+        coarse = self._settings.coarse_guidance
         if request.guidance is not None:
-            return request.guidance
-        return self._settings.target_guidance if placed else eased(self._settings.guidance, speed_mps(request))
+            return Manner(request.guidance, coarse)
+        if placed:
+            return Manner(self._settings.target_guidance, coarse)
+        manner = manner_of(None if read is None else read.meaning, Manner(self._settings.guidance, coarse))
+        return replace(manner, guidance=eased(manner.guidance, speed_mps(request)))
 
     def _check(self, request: PlanRequest) -> None:
         want, most = self._config.prefix_frames, self._config.plan_frames
@@ -281,13 +293,16 @@ class DipPlanner:
         return torch.randn(shape, generator=generator)
 
     def _denormalized(
-        self, noise: Tensor, prefix: Tensor, wishes: Wishes, text: Tensor, mask: Tensor, guidance: Tensor
+        self, noise: Tensor, prefix: Tensor, wishes: Wishes, text: Tensor, mask: Tensor, manners: Sequence[Manner]
     ) -> npt.NDArray[np.float64]:
         """(B, N, F) features of guided samples; rows that need it run twice in one batch, with and without text."""
+        guidance = torch.tensor([manner.guidance for manner in manners])
         mask = mask & (guidance != 0.0)[:, None]  # a guidance of zero: the text does not count at all
         both = torch.nonzero(mask.any(-1) & (guidance != 1.0)).flatten()
         fine = guidance[both][:, None, None]
-        coarse = fine.clamp(max=self._settings.coarse_guidance)
+        coarse = torch.minimum(fine, torch.tensor([manner.coarse for manner in manners])[both][:, None, None])
+        # Fewer steps than were trained swing as much in all.
+        more = (1 + torch.tensor([manner.swing for manner in manners])) ** (self._config.steps / len(self._steps)) - 1
         first_fine = self._config.steps - self._settings.coarse_steps
         with torch.inference_mode():
             given = Conditions(prefix, wishes.targets, text, mask, wishes.keyframes, wishes.velocity)
@@ -298,6 +313,8 @@ class DipPlanner:
                 guided, free = out[: len(mask)], out[len(mask) :]
                 scale = fine if self._steps[position] < first_fine else coarse
                 guided[both] = free + scale * (guided[both] - free)
+                if self._steps[position] < SWUNG_STEPS and bool(more.any()):
+                    guided = swung(guided, more)
                 if not wishes.aims or self._steps[position] >= AIMED_STEPS:
                     return guided
                 return self._normalizer.normalize(aimed(self._normalizer.denormalize(guided), wishes.aims))

@@ -33,11 +33,13 @@ class Nearest:
 
     Attributes:
         taken_as: the training sentence that is planned for in place of the text; None where that is the text itself.
+        meaning: of the text, a name of the head's; None without a head or where the text is far.
     """
 
     sentence: str
     similarity: float
     taken_as: str | None = None
+    meaning: str | None = None
 
     @property
     def far(self) -> bool:
@@ -124,11 +126,13 @@ class KnownSentences:
         cosines = self._unit @ embedding
         best = int(np.argmax(cosines))
         similarity = float(min(cosines[best], 1.0))
-        taken_as = None
-        if self.head is not None and FAR_BELOW <= similarity < SAME_ABOVE:
-            same = self._of.get(self.head.most_likely(embedding))
-            taken_as = None if same is None else self.sentences[int(same[np.argmax(cosines[same])])]
-        return Nearest(self.sentences[best], similarity, taken_as)
+        near = Nearest(self.sentences[best], similarity)
+        if self.head is None or near.far:
+            return near
+        meaning, taken_as = self.head.most_likely(embedding), None
+        if similarity < SAME_ABOVE and (same := self._of.get(meaning)) is not None:
+            taken_as = self.sentences[int(same[np.argmax(cosines[same])])]
+        return Nearest(near.sentence, similarity, taken_as, meaning)
 
 
 def _unit(rows: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
