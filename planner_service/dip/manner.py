@@ -38,9 +38,10 @@ class Manner:
 
 
 FIRM = Manner(7.0, 7.0)
+KICKING = Manner(4.0, 4.0)
 SWINGING = Manner(1.0, 1.0, 0.3)
 MANNERS = {
-    **dict.fromkeys(("kick", "kick_at", "kick_any", "kick_ball", "kick_front", "kick_round", "kick_spin"), FIRM),
+    **dict.fromkeys(("kick", "kick_at", "kick_any", "kick_ball", "kick_front", "kick_round", "kick_spin"), KICKING),
     **dict.fromkeys(("punch", "punch_at", "punch_step", "step_side"), FIRM),
     **dict.fromkeys(("wave", "wave_both"), SWINGING),
 }
