@@ -17,7 +17,7 @@ from shared.motion.features import JOINT_POSITIONS, JOINT_VELOCITIES
 from shared.motion.skeleton import CANONICAL
 
 SPREAD_FRAMES = 6
-"""What swings is what differs from the mean over this standard deviation (0.3 s); waves go to and fro in half a second."""
+"""What swings is what differs from the mean over this standard deviation (0.3 s); waves come back in half a second."""
 SWUNG_STEPS = 6
 """In how many of the last of the trained steps arms are swung more."""
 ARMS = CANONICAL.indices("left_elbow", "left_wrist", "right_elbow", "right_wrist")
@@ -38,13 +38,8 @@ class Manner:
 
 
 FIRM = Manner(7.0, 7.0)
-KICKING = Manner(4.0, 4.0)
 SWINGING = Manner(1.0, 1.0, 0.3)
-MANNERS = {
-    **dict.fromkeys(("kick", "kick_at", "kick_any", "kick_ball", "kick_front", "kick_round", "kick_spin"), KICKING),
-    **dict.fromkeys(("punch", "punch_at", "punch_step", "step_side"), FIRM),
-    **dict.fromkeys(("wave", "wave_both"), SWINGING),
-}
+MANNERS = {"step_side": FIRM, "wave": SWINGING, "wave_both": SWINGING}
 """By action of shared/data; all else as the planner's settings say."""
 
 
