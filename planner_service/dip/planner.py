@@ -48,6 +48,8 @@ VERSION = "1"
 
 EASED_MPS = (1.2, 2.0)
 """Speeds between which guidance fades to none."""
+STANDS_MPS = 0.6
+"""Whoever goes faster comes to a stand first, in the usual manner: less guided, a runner runs on with waving arms."""
 SPEED_FRAMES = 4
 
 
@@ -262,8 +264,9 @@ class DipPlanner:
             return Manner(request.guidance, coarse)
         if placed:
             return Manner(self._settings.target_guidance, coarse)
-        manner = manner_of(None if read is None else read.meaning, Manner(self._settings.guidance, coarse))
-        return replace(manner, guidance=eased(manner.guidance, speed_mps(request)))
+        usual, speed = Manner(self._settings.guidance, coarse), speed_mps(request)
+        manner = usual if read is None or speed > STANDS_MPS else manner_of(read.meaning, usual)
+        return replace(manner, guidance=eased(manner.guidance, speed))
 
     def _check(self, request: PlanRequest) -> None:
         want, most = self._config.prefix_frames, self._config.plan_frames

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from planner_service.dip.manner import ARMS, FIRM, MANNERS, Manner, manner_of, swung
-from planner_service.dip.planner import DipPlanner
+from planner_service.dip.planner import EASIER_GUIDANCE, DipPlanner
 from planner_service.text.known import KnownSentences
 from planner_service.training.rollout import Rollout
 from shared.data.texts import SENTENCES
@@ -76,6 +76,19 @@ def test_a_plan_says_what_it_was_made_for(
     (plan,) = planner.plan([request])
     assert plan.guidance == guidance
     assert (plan.understood is None) if taken is None else (taken in str(plan.understood))
+
+
+def test_a_walker_comes_to_a_stand_first(planner: DipPlanner) -> None:
+    moving = standing_clip(20, 20.0)
+    positions = moving.positions_w_m + np.arange(20)[:, None, None] / 20 * [1.1, 0.0, 0.0]
+    request = PlanRequest(
+        start_tick=0,
+        prefix_positions_w_m=positions,
+        prefix_rotations_6d=moving.rotations_6d,
+        prefix_velocities_w_mps=finite_velocity(positions, 20),
+        text="a person waves with the left hand",
+    )
+    assert planner.plan([request])[0].guidance in (3.0, EASIER_GUIDANCE)
 
 
 def test_waves_swing_as_far_as_one_sees(planner: DipPlanner) -> None:
