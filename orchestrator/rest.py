@@ -85,7 +85,6 @@ class CommandReading(Body):
         understood: its text without negated clauses, steps in order; a sentence for standing where nothing is left.
         steps: what is done, one thing after the other; the last one holds.
         dropped: clauses that say what not to do.
-        planned_as: what the planner plans for, a sentence for each step; empty where that is what the steps say.
         nearest: for a text far from every sentence the planner was trained on, the nearest of them; expect little.
         ignored_conditions: what it asks that the planner does not honour.
         unreachable_joints: joints of its target that the planner cannot place.
@@ -94,7 +93,6 @@ class CommandReading(Body):
     understood: str | None = None
     steps: list[str] = []
     dropped: list[str] = []
-    planned_as: list[str] = []
     nearest: NearestSentence | None = None
     ignored_conditions: list[str] = []
     unreachable_joints: list[str] = []
@@ -102,7 +100,7 @@ class CommandReading(Body):
     @property
     def noteworthy(self) -> bool:
         """Whether it was taken otherwise than it was given, or not all of it is honoured."""
-        taken = bool(self.dropped or self.planned_as) or len(self.steps) > 1 or self.nearest is not None
+        taken = bool(self.dropped) or len(self.steps) > 1 or self.nearest is not None
         return taken or bool(self.ignored_conditions) or bool(self.unreachable_joints)
 
 

@@ -78,8 +78,6 @@ def notes(reading: CommandReading) -> list[str]:
     if reading.dropped or len(reading.steps) > 1:
         left_out = f" (left out: {'; '.join(reading.dropped)})" if reading.dropped else ""
         out.append(f"understood as: {reading.understood}{left_out}")
-    if reading.planned_as:
-        out.append(f"planned as: {', then '.join(reading.planned_as)}")
     if reading.nearest is not None:
         near = reading.nearest
         out.append(f"far from all it was trained on; nearest: {near.text!r} ({near.similarity:.2f} of 1)")

@@ -21,7 +21,7 @@ from orchestrator.core.services import Services
 from orchestrator.core.session import Session
 from orchestrator.core.settings import LoopSettings
 from orchestrator.core.steps import SteppedGoal
-from orchestrator.rest import CommandReading, NearestSentence
+from orchestrator.rest import CommandReading
 from shared.errors import ConflictError, InvalidInputError, MotionLoopError, NotFoundError, TransportError
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.base import Name
@@ -153,15 +153,8 @@ class CharacterSession:
         reading = read_command(command, source.wording, spec)
         if reading.understood is not None and "text" in spec.conditions:
             found = [await self._nearest.of(self._services.planner, spec.name, step) for step in reading.steps]
-            far = [
-                NearestSentence(text=read.nearest, similarity=read.similarity)
-                for read in found
-                if read.far and read.nearest is not None and read.similarity is not None
-            ]
-            nearest = min(far, key=lambda near: near.similarity, default=None)
-            other = any(read.taken_as is not None for read in found)
-            taken = [read.taken_as or step for read, step in zip(found, reading.steps, strict=True)] if other else []
-            reading = reading.model_copy(update={"nearest": nearest, "planned_as": taken})
+            far = sorted((near for near in found if near is not None), key=lambda near: near.similarity)
+            reading = reading.model_copy(update={"nearest": far[0] if far else None})
         if reading.noteworthy:
             self.events.emit("understood", self.state.tick, text=command.text, **reading.model_dump(mode="json"))
         return reading

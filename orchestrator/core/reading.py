@@ -6,7 +6,7 @@ from collections import OrderedDict
 
 from orchestrator.core.command import Command
 from orchestrator.core.services import Slot
-from orchestrator.rest import CommandReading
+from orchestrator.rest import CommandReading, NearestSentence
 from shared.errors import MotionLoopError
 from shared.plugins.interfaces import PlannerSpec
 from shared.protocol.messages import ReadText, TextRead
@@ -55,19 +55,22 @@ def unreachable_joints(command: Command, spec: PlannerSpec) -> list[str]:
 
 
 class NearestSentences:
-    """Asks planners which of their sentences a text is nearest to and taken for, and remembers the answers."""
+    """Asks planners which of their sentences is nearest to a text, and remembers the answers."""
 
     def __init__(self) -> None:
         self._kept: OrderedDict[tuple[str, str, str], TextRead] = OrderedDict()
 
-    async def of(self, slot: Slot, planner: str, text: str) -> TextRead:
-        """What a planner knows of a text; nothing when nobody can say."""
+    async def of(self, slot: Slot, planner: str, text: str) -> NearestSentence | None:
+        """The nearest sentence to a text that is far from all; None for one that is not, or when nobody can say."""
         key = (slot.welcome.instance_id, planner, text)
         if key not in self._kept:
             try:
                 self._kept[key] = await slot.client.ask(ReadText(planner=planner, text=text), TextRead, timeout_s=ASK_S)
             except MotionLoopError:  # away, or of a version that cannot say: a command goes its way without it
-                return TextRead()
+                return None
             while len(self._kept) > KEPT_TEXTS:
                 self._kept.popitem(last=False)
-        return self._kept[key]
+        read = self._kept[key]
+        if not read.far or read.nearest is None or read.similarity is None:
+            return None
+        return NearestSentence(text=read.nearest, similarity=read.similarity)

@@ -177,16 +177,11 @@ class DipPlanner:
         return cls(load_weights(path or SHIPPED), minilm(), settings, KnownSentences.load())
 
     def read_text(self, text: str) -> TextRead:
-        """The training sentence nearest to a text, and the one it is planned for as."""
+        """The training sentence nearest to a text."""
         found = self._read(text)
         if found is None:
             return TextRead()
-        return TextRead(
-            nearest=found.sentence,
-            similarity=round(found.similarity, 4),
-            far=found.far,
-            taken_as=found.taken_as,
-        )
+        return TextRead(nearest=found.sentence, similarity=round(found.similarity, 4), far=found.far)
 
     def _read(self, text: str | None) -> Nearest | None:
         return None if text is None or self._known is None else self._known.nearest(text, self._texts)

@@ -130,14 +130,12 @@ class TextRead(Message):
     Attributes:
         nearest: the nearest sentence it knows; similarity: at most 1, which is the same.
         far: whether the text is unlike all that it knows.
-        taken_as: the sentence that it plans for in place of the text; None where that is the text itself.
     """
 
     type: ClassVar[str] = "TextRead"
     nearest: str | None = None
     similarity: FiniteFloat | None = None
     far: bool | None = None
-    taken_as: Annotated[str, Field(max_length=MAX_TEXT_CHARS)] | None = None
 
 
 class Plan(Message):
@@ -147,7 +145,7 @@ class Plan(Message):
         positions_w_m: (T, 22, 3) and rotations_6d: (T, 22, 6), local, at `fps`.
         actions: (A, D) for the ticks start_tick.. in the space named `action_space`, or none.
         ignored_conditions: what was asked and is not honoured: names of CONDITIONS, `target:JOINT` for one joint.
-        understood: the text as it was taken, where that is not the text as given (unseen words as a sentence it knows).
+        understood: the text as it was taken, where that is not the text as given (a negated clause is dropped).
         nearest: the sentence it knows that is nearest to a text far from all it knows; None for a text it knows.
         guidance: the scale that was used; None where there is nothing to guide.
         timings_ms: parts of the time it took, by name.

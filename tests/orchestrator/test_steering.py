@@ -72,19 +72,11 @@ async def ask(planner: str, tracker: str) -> None:
         await session.start()
         far = await session.reading(Command(text="wave, then bake a cake"))
         assert far.nearest is not None and far.nearest.similarity < 0.5
-        jog = await session.reading(Command(text="a person walks, then kick it with your left foot"))
-        assert jog.nearest is None
-        walks, kicks = jog.planned_as
-        assert walks == "a person walks" and "kick" in kicks and "left" in kicks
-        assert (await session.reading(Command(text="a person walks"))).planned_as == []
+        assert (await session.reading(Command(text="somebody jogs"))).nearest is None
         elbow = Command(target=Target(joint="left_elbow", position_m=(0.3, 0.3, 1.2)))
         assert (await session.reading(elbow)).unreachable_joints == ["left_elbow"]
         said = [event.data for event in session.events.since(0) if event.type == "understood"]
-        assert [event["text"] for event in said] == [
-            "wave, then bake a cake",
-            "a person walks, then kick it with your left foot",
-            None,
-        ]
+        assert [event["text"] for event in said] == ["wave, then bake a cake", None]
     finally:
         await session.close()
         await services.close()

@@ -28,7 +28,6 @@ export async function send(command) {
 function takenAs(taken) {
   const notes = [];
   if (taken.dropped.length > 0 || taken.steps.length > 1) notes.push(`Understood as: ${taken.understood}.`);
-  if (taken.planned_as.length > 0) notes.push(`Planned as: ${taken.planned_as.join(", then ")}.`);
   if (taken.nearest !== null) notes.push(`It was trained on nothing like this; nearest: “${taken.nearest.text}”.`);
   return notes.join(" ");
 }
