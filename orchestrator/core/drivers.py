@@ -14,7 +14,7 @@ from orchestrator.core.loop import CharacterLoop, GoalSource, PlanTiming, timing
 from orchestrator.core.pacing import PlanPacer
 from shared.errors import MotionLoopError, SimulationError, TransportError
 from shared.protocol.messages import TICK_HZ, Plan, StateFrame
-from shared.tasks.interface import Trace
+from shared.tasks.interface import PlanGoal, Trace
 
 PLANNER_RETRY_S, PLANNER_RETRY_TICKS = 0.25, 6
 """After so long a planner that was away is asked again: by the clock, and in lockstep."""
@@ -177,6 +177,7 @@ class LockstepDriver(_Paced):
                 period = max(PLANNER_RETRY_TICKS // spacing, 1) * spacing
             else:
                 self._bad.clear()
+                period = self._loop.period_ticks(goal, plan)
                 reply = await self._loop.track(plan)
                 if reply.accepted:
                     self._pacer.entered(start_tick, period)
@@ -200,7 +201,7 @@ class _Request:
     task: asyncio.Task[Plan]
     start_tick: int
     period_ticks: int
-    text: str | None
+    goal: PlanGoal
     began_s: float = field(default_factory=time.perf_counter)
 
 
@@ -274,7 +275,7 @@ class RealtimeDriver(_Paced):
         start_tick = self._pacer.start_tick(tick, self._lead.ticks, self._loop.planner_spec().fps)
         goal = source(view_of(self._state), start_tick)
         task = asyncio.create_task(self._loop.make_plan(goal, tick, start_tick))
-        self._request = _Request(task, start_tick, self._loop.period_ticks(goal), goal.text)
+        self._request = _Request(task, start_tick, self._loop.period_ticks(goal), goal)
         self._next_plan_tick = tick + self._request.period_ticks
 
     async def _collect(self, request: _Request) -> list[PlanTiming]:
@@ -299,7 +300,10 @@ class RealtimeDriver(_Paced):
         self._lead.took(took_s)
         reply = await self._loop.track(plan)
         if reply.accepted:
-            self._pacer.entered(plan.start_tick, request.period_ticks)
+            period = self._loop.period_ticks(request.goal, plan)
+            self._pacer.entered(plan.start_tick, period)
+            if self._next_plan_tick > self._state.tick:  # no command came meanwhile
+                self._next_plan_tick += period - request.period_ticks
         else:
             self._next_plan_tick = self._state.tick
-        return [timing_of(plan, self._loop.plans_made - 1, reply, took_s * 1e3, request.text)]
+        return [timing_of(plan, self._loop.plans_made - 1, reply, took_s * 1e3, request.goal.text)]

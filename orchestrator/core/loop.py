@@ -43,7 +43,7 @@ from shared.protocol.messages import (
 )
 from shared.protocol.rates import first_start_by, frame_of_tick, start_spacing
 from shared.tasks.interface import BodyView, PlanGoal, Trace, joined
-from shared.tasks.obey import asks_low
+from shared.tasks.obey import asks_low, holds_ticks
 from shared.tasks.world import World
 from shared.tracing import traced
 
@@ -382,12 +382,12 @@ class CharacterLoop:
         """Ticks from one possible start of a plan to the next."""
         return start_spacing(self.planner_spec().fps)
 
-    def period_ticks(self, goal: PlanGoal) -> int:
+    def period_ticks(self, goal: PlanGoal, plan: Plan | None = None) -> int:
         """Ticks until the plan after one for this goal: the planner's own period, else the settings', and in any case
-        before the plan is over. A multiple of `start_spacing`."""
+        before the plan is over. A multiple of `start_spacing`. With the plan, what its text was taken for counts."""
         spec = self.planner_spec(goal.planner)
         wanted = self.settings.replan_ticks if goal.targets else self.settings.text_replan_ticks
-        wanted = max(wanted, goal.hold_ticks)
+        wanted = max(wanted, goal.hold_ticks, holds_ticks((plan and plan.understood) or goal.text, goal.targets))
         if spec.replan_frames is not None:
             wanted = spec.replan_frames * TICK_HZ // spec.fps
         spacing = start_spacing(spec.fps)

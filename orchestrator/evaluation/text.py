@@ -13,11 +13,12 @@ import numpy as np
 
 from orchestrator.core.agenda import task_seed
 from orchestrator.core.character import CharacterSpec
-from orchestrator.core.command import Command, CommandGoal
+from orchestrator.core.command import Command
 from orchestrator.core.events import EventLog
 from orchestrator.core.services import Services
 from orchestrator.core.session import Session
 from orchestrator.core.settings import LOCKSTEP, LoopSettings
+from orchestrator.core.steps import SteppedGoal
 from orchestrator.evaluation.commands import Asked, KindsOption, Outcome, choose, judged, shares
 from shared.protocol.messages import TICK_HZ, StateFrame
 from shared.statistics import wilson
@@ -98,7 +99,7 @@ async def _stream(
     for index, asked in enumerate(commands):
         begin = state.tick
         end = begin + round(plan.every_s * TICK_HZ)
-        goal = CommandGoal(Command(text=asked.text), begin)
+        goal = SteppedGoal(Command(text=asked.text), begin)
         session.replan_now()
         seen: list[Trace] = []
         outcome, down = Outcome(False, False, {}), False
@@ -137,7 +138,7 @@ async def _go_on(session: Session, text: str, until_tick: int) -> StateFrame:
     """What is done between commands, and judged by nobody."""
     state = session.state
     while state.tick < until_tick:
-        state = (await session.cycle(CommandGoal(Command(text=text), state.tick), 15)).state
+        state = (await session.cycle(SteppedGoal(Command(text=text), state.tick), 15)).state
     return state
 
 

@@ -39,7 +39,7 @@ class Manner:
 
 FIRM = Manner(7.0, 7.0)
 SWINGING = Manner(1.0, 1.0, 0.3)
-MANNERS = {"step_side": FIRM, "wave": SWINGING, "wave_both": SWINGING}
+MANNERS = {"step_side": FIRM, "walk_side": FIRM, "wave": SWINGING, "wave_both": SWINGING}
 """By action of shared/data; all else as the planner's settings say."""
 
 

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from planner_service.dip.aiming import AIMED_STEPS, aimed, hands_of
 from planner_service.dip.conditions import JOINT_SLOTS
+from planner_service.dip.deeds import Deed, as_asked, deed_of, tries_of, worth_of
 from planner_service.dip.diffusion import cosine_schedule, respaced, sample, spread_steps
 from planner_service.dip.feet import with_planted_feet
 from planner_service.dip.folded import Conditions, Denoising, FoldedDip
@@ -122,6 +123,12 @@ class DipSettings(BaseModel):
     threads: int = Field(1, ge=1)
 
 
+def _best(request: PlanRequest, deed: Deed, plans: Sequence[tuple[Plan, PlanRequest, str]]) -> Plan:
+    """Of plans, with what each was made for and its side, the one in which the deed is done best."""
+    plan, told, _ = max(plans, key=lambda made: worth_of(deed, made[2], request, made[0].positions_w_m))
+    return as_asked(request, told, plan)
+
+
 class DipPlanner:
     """The diffusion planner.
 
@@ -197,16 +204,37 @@ class DipPlanner:
         return self._spec
 
     def plan(self, requests: list[PlanRequest]) -> list[Plan]:
-        """One plan for each request, in order; those too hard for legs are made a second time (`timings_ms` has both).
+        """One plan for each request, in order; those too hard for legs are made a second time (`timings_ms` has both),
+        and what most plans do by half is planned for several times (`deeds`).
 
         Raises:
             InvalidInputError: a prefix or horizon of the wrong length.
             SimulationError: the network gave a plan that is not finite.
         """
-        if not requests:
-            return []
         for request in requests:
             self._check(request)
+        deeds = [None if speed_mps(request) > STANDS_MPS else self._deed(request) for request in requests]
+        tried = [
+            [(request, "")]
+            if found is None
+            else tries_of(request, root_state(request.prefix_positions_w_m[-1]), *found)
+            for request, found in zip(requests, deeds, strict=True)
+        ]
+        made = iter(self._plans([told for each in tried for told, _ in each]))
+        plans = []
+        for request, found, each in zip(requests, deeds, tried, strict=True):
+            own = [(next(made), told, side) for told, side in each]
+            plans.append(own[0][0] if found is None else _best(request, found[0], own))
+        return plans
+
+    def _deed(self, request: PlanRequest) -> tuple[Deed, str] | None:
+        read = self._read(request.text)
+        return None if read is None else deed_of(read.meaning, request)
+
+    def _plans(self, requests: list[PlanRequest]) -> list[Plan]:
+        """One plan for each request, of one sample or, where that was too hard, of a second one."""
+        if not requests:
+            return []
         began = time.monotonic()
         prefixes = [
             global_to_features(request.prefix_positions_w_m.astype(np.float64), PLANNER_FPS) for request in requests
@@ -239,7 +267,7 @@ class DipPlanner:
             for plan, taken in zip(plans, taken_as, strict=True)
         ]
         hard = [i for i, plan in enumerate(plans) if self._too_hard(requests[i], plan, guidance[i])]
-        again = self.plan([requests[i].model_copy(update={"guidance": EASIER_GUIDANCE}) for i in hard])
+        again = self._plans([requests[i].model_copy(update={"guidance": EASIER_GUIDANCE}) for i in hard])
         for i, plan in zip(hard, again, strict=True):
             both = {name: timings[name] + took for name, took in plan.timings_ms.items()}
             plans[i] = plan.model_copy(update={"timings_ms": both})

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import degrees, radians
 from typing import Literal
 
-from shared.protocol.messages import TICK_HZ
+from shared.protocol.messages import TICK_HZ, JointTarget
 from shared.tasks import rules
 from shared.tasks.interface import Trace
 
@@ -46,6 +47,20 @@ _LOW = re.compile(
 def asks_low(text: str | None) -> bool:
     """Whether a sentence asks for being low on the way: sitting, lying, crawling, and getting up from there."""
     return text is not None and _LOW.search(text.lower()) is not None
+
+
+_BLOW = re.compile(
+    r"\b(punch\w*|kick\w*|boxes|boxing|shadow ?box\w*|spar\w*|jab\w*|uppercuts?|hooks?|boot|hits? (it|him|with)"
+    r"|fight like a boxer|(strikes?|hits?|attack) with (the |a |your )?(\w+ )?(hand|fists?|foot|leg))\b|^box$"
+)
+BLOW_TICKS = 42
+"""A blow's plan is performed so long, through wind-up, blow and way back: made anew on the way it begins again."""
+
+
+def holds_ticks(text: str | None, targets: Sequence[JointTarget] = ()) -> int:
+    """For how long a plan for a sentence is to be performed, in ticks; 0 where it may be made anew at any time, as with
+    targets, whose arrival is told."""
+    return BLOW_TICKS if text is not None and not targets and _BLOW.search(text.lower()) else 0
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from shared.protocol.messages import CreateCharacter, Plan, PlanRequest, StateFr
 from shared.tasks.approach import Approach
 from shared.tasks.builtin import ReachTask
 from shared.tasks.interface import BodyView, Obstacle, PlanGoal
-from shared.tasks.obey import asks_low
+from shared.tasks.obey import BLOW_TICKS, asks_low
 from shared.tasks.specs import ReachSpec, ReachTuning
 from tests.orchestrator.test_planner_specs import hosting
 from tracker_service.service.service import TrackerService
@@ -93,6 +93,21 @@ async def ends_fallen(planner: str, tracker: str, text: str) -> bool:
         for _ in range(4):
             cycle = await driver.cycle(source)
         return cycle.state.fallen
+    finally:
+        await services.close()
+
+
+async def plans_within(planner: str, tracker: str, text: str, ticks: int) -> int:
+    """How many plans are asked for under a text."""
+    services = Services(await connect(planner, "planner"), await connect(tracker, "tracker"))
+    loop = CharacterLoop(str(uuid.uuid4()), services, LOCKSTEP, seed=1)
+    try:
+        start = await loop.ask_tracker(StateFrame, CreateCharacter())
+        driver, source = LockstepDriver(loop, start), CommandGoal(Command(text=text), 0)
+        tick = start.tick
+        while tick < start.tick + ticks:
+            tick = (await driver.cycle(source, start.tick + ticks - tick)).state.tick
+        return loop.plans_made
     finally:
         await services.close()
 
@@ -214,6 +229,15 @@ def test_of_several_plans_the_one_that_the_goal_finds_best_is_taken() -> None:
     assert farthest > plan_seed(1, 0) % 97 / 1000, "choose another seed: the first is the best"
     assert best.positions_w_m[-1, 0, 0] == pytest.approx(farthest, abs=2e-3)
     assert first.positions_w_m[-1, 0, 0] == pytest.approx(plan_seed(1, 0) % 97 / 1000, abs=2e-3)
+
+
+@pytest.mark.parametrize(("text", "plans"), [("a person walks", 2), ("a person kicks", 1)])
+def test_a_blow_is_not_begun_anew_before_it_has_landed(text: str, plans: int) -> None:
+    with (
+        TrackerService(TrackerServiceSettings(endpoint="tcp://127.0.0.1:0", trackers=("kinematic",))) as tracker,
+        hosting(Wilful()) as planner,
+    ):
+        assert asyncio.run(plans_within(planner.endpoint, tracker.endpoint, text, BLOW_TICKS - 3)) == plans
 
 
 def test_what_the_planner_says_comes_back_with_the_plan(stack: Stack) -> None:

@@ -54,7 +54,7 @@ def test_arms_swing_more_about_where_they_are_and_nothing_else_is_touched() -> N
 @pytest.mark.parametrize(
     ("text", "asked", "guidance", "taken"),
     [
-        ("kick it with your left foot", None, 3.0, "left"),
+        ("kick it with your left foot", None, 1.0, "left"),
         ("kick it with your left foot", 2.0, 2.0, "left"),
         ("one step aside to your right", None, 7.0, "right"),
         ("a person walks", None, 3.0, None),
