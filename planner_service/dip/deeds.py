@@ -28,7 +28,7 @@ STRETCHED, STRETCHED_FRAMES = 0.85, 4
 LIFT_M, REACH_M, HIGH_M = 0.45, 0.5, 0.65
 """A kick is better the higher and the farther up to here; higher than the last it throws the body."""
 CALM_MPS = 0.55
-"""Of kicks with a pelvis that goes faster than 0.67 m/s one in twelve ended in a fall, slower than 0.57 one in a hundred."""
+"""Of kicks with a pelvis faster than 0.67 m/s one in twelve ended in a fall, slower than 0.57 one in a hundred."""
 PREFIX_FRAMES = 3
 """So many frames of what was done count with a plan."""
 
