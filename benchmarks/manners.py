@@ -15,6 +15,7 @@ import torch
 import typer
 
 from orchestrator.evaluation.commands import ALL
+from planner_service.dip.deeds import DEEDS
 from planner_service.dip.manner import MANNERS, Manner
 from planner_service.dip.planner import DipPlanner, DipSettings
 from planner_service.training.rollout import Rollout
@@ -48,6 +49,7 @@ def main(
     settings = DipSettings()
     if guidance is not None:
         settings = DipSettings(guidance=guidance, coarse_guidance=coarse)
+        DEEDS.clear()
         MANNERS.clear()
         MANNERS.update(dict.fromkeys(("wave", "wave_both"), Manner(guidance, coarse, swing)))
     planner = DipPlanner.load(settings=settings)

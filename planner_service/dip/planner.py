@@ -19,7 +19,7 @@ from torch import Tensor
 
 from planner_service.dip.aiming import AIMED_STEPS, aimed, hands_of
 from planner_service.dip.conditions import JOINT_SLOTS
-from planner_service.dip.deeds import Deed, as_asked, deed_of, tries_of, worth_of
+from planner_service.dip.deeds import Deed, best_of, deed_of, tries_of
 from planner_service.dip.diffusion import cosine_schedule, respaced, sample, spread_steps
 from planner_service.dip.feet import with_planted_feet
 from planner_service.dip.folded import Conditions, Denoising, FoldedDip
@@ -123,12 +123,6 @@ class DipSettings(BaseModel):
     threads: int = Field(1, ge=1)
 
 
-def _best(request: PlanRequest, deed: Deed, plans: Sequence[tuple[Plan, PlanRequest, str]]) -> Plan:
-    """Of plans, with what each was made for and its side, the one in which the deed is done best."""
-    plan, told, _ = max(plans, key=lambda made: worth_of(deed, made[2], request, made[0].positions_w_m))
-    return as_asked(request, told, plan)
-
-
 class DipPlanner:
     """The diffusion planner.
 
@@ -215,17 +209,15 @@ class DipPlanner:
             self._check(request)
         deeds = [None if speed_mps(request) > STANDS_MPS else self._deed(request) for request in requests]
         tried = [
-            [(request, "")]
-            if found is None
-            else tries_of(request, root_state(request.prefix_positions_w_m[-1]), *found)
+            [request] if found is None else tries_of(request, root_state(request.prefix_positions_w_m[-1]), *found)
             for request, found in zip(requests, deeds, strict=True)
         ]
-        made = iter(self._plans([told for each in tried for told, _ in each]))
-        plans = []
-        for request, found, each in zip(requests, deeds, tried, strict=True):
-            own = [(next(made), told, side) for told, side in each]
-            plans.append(own[0][0] if found is None else _best(request, found[0], own))
-        return plans
+        made = iter(self._plans([told for each in tried for told in each]))
+        own = [[(told, next(made)) for told in each] for each in tried]
+        return [
+            each[0][1] if found is None else best_of(request, *found, each)
+            for request, found, each in zip(requests, deeds, own, strict=True)
+        ]
 
     def _deed(self, request: PlanRequest) -> tuple[Deed, str] | None:
         read = self._read(request.text)

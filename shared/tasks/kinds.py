@@ -186,10 +186,8 @@ def _punch(p: Array, side: str) -> Judgement:
     """The wrist goes ahead at 1.5 m/s against the pelvis, faster than the other one just then, and the arm is stretched
     within 0.2 s."""
     other = SIDES[side == "left"]
-    ahead = {each: _ahead_mps(p, f"{each}_wrist") for each in SIDES}
-    shoulder, elbow, wrist = CANONICAL.indices(f"{side}_shoulder", f"{side}_elbow", f"{side}_wrist")
-    bones = (CANONICAL.rest_positions_m[[elbow, wrist]] - CANONICAL.rest_positions_m[[shoulder, elbow]]).copy()
-    reach = np.linalg.norm(p[:, wrist] - p[:, shoulder], axis=-1) / np.linalg.norm(bones, axis=-1).sum()
+    ahead = {each: ahead_mps(p, f"{each}_wrist") for each in SIDES}
+    reach = arm_reach(p, side)
     width = round(PUNCH_WITHIN_S * TICK_HZ) + 1
     stretched = np.lib.stride_tricks.sliding_window_view(reach, width).max(-1) >= PUNCH_REACH
     fast = (ahead[side] >= PUNCH_MPS) & (ahead[side] > ahead[other])
@@ -202,19 +200,33 @@ def _kick(p: Array, side: str) -> Judgement:
     ankle, other = CANONICAL.indices(f"{side}_ankle", f"{SIDES[side == 'left']}_ankle")
     rest = CANONICAL.rest_positions_m
     away = p[:, ankle, :2] - p[:, 0, :2]
-    heading = hips_heading(p)
-    ahead = away[:, 0] * np.cos(heading) + away[:, 1] * np.sin(heading)
+    ahead = ahead_m(p, f"{side}_ankle")
     lift = p[:, ankle, 2] - rest[ankle, 2]
     kicked = (lift >= KICK_LIFT_M) & (np.linalg.norm(away, axis=-1) >= KICK_AWAY_M) & (ahead >= -KICK_BEHIND_M)
     kicked &= p[:, other, 2] - rest[other, 2] < JUMP_M
     return Judgement(bool(kicked.any()), {"lift_m": float(lift.max()), "ahead_m": float(ahead.max())})
 
 
-def _ahead_mps(p: Array, joint: str) -> Array:
-    """(T,) speed of a joint against the pelvis in the direction that the hips face."""
-    heading = hips_heading(p)
-    move = np.gradient(p[:, CANONICAL.index(joint), :2] - p[:, 0, :2], axis=0) * TICK_HZ
+def ahead_mps(pos_w_m: Array, joint: str, fps: float = TICK_HZ) -> Array:
+    """(T,) speed of a joint against the pelvis in the direction that the hips face, of positions (T, 22, 3)."""
+    heading = hips_heading(pos_w_m)
+    move = np.gradient(pos_w_m[:, CANONICAL.index(joint), :2] - pos_w_m[:, 0, :2], axis=0) * fps
     return np.asarray(move[:, 0] * np.cos(heading) + move[:, 1] * np.sin(heading))
+
+
+def ahead_m(pos_w_m: Array, joint: str) -> Array:
+    """(T,) how far a joint is from the pelvis in the direction that the hips face."""
+    heading = hips_heading(pos_w_m)
+    away = pos_w_m[:, CANONICAL.index(joint), :2] - pos_w_m[:, 0, :2]
+    return np.asarray(away[:, 0] * np.cos(heading) + away[:, 1] * np.sin(heading))
+
+
+def arm_reach(pos_w_m: Array, side: str) -> Array:
+    """(T,) how far a wrist is from its shoulder, as a share of the arm's length."""
+    shoulder, elbow, wrist = CANONICAL.indices(f"{side}_shoulder", f"{side}_elbow", f"{side}_wrist")
+    rest = CANONICAL.rest_positions_m[[shoulder, elbow, wrist]]
+    arm_m = np.linalg.norm(np.diff(rest, axis=0), axis=-1).sum()
+    return np.asarray(np.linalg.norm(pos_w_m[:, wrist] - pos_w_m[:, shoulder], axis=-1) / arm_m)
 
 
 def _sign(side: str) -> int:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from planner_service.dip.deeds import DEEDS, KICK, PUNCH, deed_of, kicking, punching, tries_of
+from planner_service.dip.deeds import DEEDS, KICK, PUNCH, TRIES, deed_of, kicking, punching, tries_of
 from planner_service.dip.planner import DipPlanner
 from planner_service.text.known import KnownSentences
 from planner_service.training.rollout import Rollout
@@ -69,7 +69,7 @@ def test_every_deed_is_of_something_that_the_head_tells_apart_and_its_plans_are_
 
 def test_who_says_where_to_be_is_left_alone() -> None:
     assert deed_of("punch_at:left", request("punch")) == (PUNCH, "left")
-    assert deed_of("kick_any", request("kick")) == (KICK, "")
+    assert deed_of("kick_any", request("kick")) == (KICK, "right")
     assert deed_of("walk", request("walk")) is None and deed_of(None, request("kick")) is None
     heading = HeadingTarget(heading_rad=0.0, arrival_tick=60)
     target = JointTarget(joint="left_wrist", position_w_m=(1.0, 0.0, 1.2), arrival_tick=60)
@@ -86,10 +86,10 @@ def test_a_limb_is_sent_ahead_of_the_body_wherever_it_faces() -> None:
     turned = STANDING.positions_w_m[..., [1, 0, 2]] * [-1.0, 1.0, 1.0]  # by 90 degrees to the left
     asked = request("punch with the right hand", prefix_positions_w_m=turned)
     tries = tries_of(asked, root_state(turned[-1]), PUNCH, "right")
-    assert len({told.seed for told, _ in tries}) == len(tries) == PUNCH.tries and tries[0][0].seed == asked.seed
-    told, side = tries[-1]
-    assert side == "right" and [target.joint for target in told.targets] == ["right_wrist", "traj"]
-    assert PUNCH.lands is not None and told.heading is not None
+    assert len({told.seed for told in tries}) == len(tries) == TRIES and tries[0].seed == asked.seed
+    told = tries[-1]
+    assert [target.joint for target in told.targets] == ["right_wrist", "traj"]
+    assert told.heading is not None
     x, y = turned[-1, 0, :2]
     np.testing.assert_allclose(told.targets[0].position_w_m, (x, y + PUNCH.lands.ahead_m, PUNCH.lands.up_m), atol=1e-5)
     assert told.heading.heading_rad == pytest.approx(np.pi / 2)
@@ -108,7 +108,7 @@ def test_a_fast_straight_fist_is_worth_more_than_a_slow_or_the_other_one() -> No
     fast, slow, other = thrust("left", 4), thrust("left", 16), thrust("right", 4)
     assert punching(fast, "left") > punching(slow, "left")
     assert punching(fast, "left") > punching(other, "left")
-    assert punching(other, "") == pytest.approx(punching(other, "right"))
+    assert punching(other, "right") == pytest.approx(punching(fast, "left"), abs=0.3)
 
 
 def test_a_calm_kick_is_worth_more_than_a_low_a_hasty_or_a_hopped_one() -> None:
