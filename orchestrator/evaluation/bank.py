@@ -25,7 +25,7 @@ from orchestrator.core.loop import GoalSource, trace_of
 from orchestrator.core.services import Services
 from orchestrator.core.session import Session
 from orchestrator.core.settings import LOCKSTEP, LoopSettings
-from orchestrator.evaluation.commands import DEFAULT
+from orchestrator.evaluation.commands import ALL, DEFAULT, KindsOption
 from orchestrator.evaluation.rows import Measured
 from orchestrator.evaluation.tasks import episode_spec
 from shared.data.props import Seat
@@ -38,6 +38,7 @@ from shared.tasks.builtin import ReachTask
 from shared.tasks.interface import BodyView, Trace
 from shared.tasks.object_specs import StrikeSpec
 from shared.tasks.places import USUAL_HALF_SIZE_M
+from shared.tasks.rules import leaning
 from shared.tasks.specs import ReachSpec
 from shared.tasks.strike import GOING_RAD
 
@@ -45,8 +46,15 @@ Array = npt.NDArray[np.float32]
 
 SEGMENT_S = (1.5, 5.0)
 REACH_SHARE = 0.3
-KIND_SHARES = {"walk": 0.1, "run": 0.3, "turn": 0.15, "wave": 0.1, "jump": 0.25, "stand": 0.1}
+KIND_SHARES: dict[KindsOption, dict[str, float]] = {
+    "default": {"walk": 0.1, "run": 0.3, "turn": 0.15, "wave": 0.1, "jump": 0.25, "stand": 0.1},
+    "all": {
+        "walk": 0.08, "run": 0.15, "turn": 0.06, "wave": 0.05, "jump": 0.15, "stand": 0.08, "squat": 0.17,
+        "punch": 0.06, "kick": 0.12, "step_back": 0.05, "step_side": 0.03,
+    },
+}  # fmt: skip
 """What is hardest to perform is met most."""
+UP_TEXT, UP_TICKS = "a person gets up from the floor.", 4 * TICK_HZ
 REACH_TEXTS = ("a person is walking.", "a person walks forward.", "a person is jogging.")
 REACH_TEXT_SHARES = (0.6, 0.3, 0.1)
 LEADS_TICKS = (0, 12)
@@ -89,6 +97,7 @@ async def record_bank(
     planner: str | None = None,
     tracker: str | None = None,
     progress: Callable[[int, int, dict[str, Any]], None] | None = None,
+    kinds: KindsOption = "default",
 ) -> dict[str, Any]:
     """Record `minutes` of simulated time into `out`, one .npz a stretch between resets.
 
@@ -116,7 +125,7 @@ async def record_bank(
         for stream in range(parallel):
             settings = LOCKSTEP.model_copy(update={"plan_lead_ticks": LEADS_TICKS[stream % len(LEADS_TICKS)]})
             group.create_task(
-                _stream(services, stream, task_seed(seed, stream), ticks_each, settings, planner, tracker, keep)
+                _stream(services, stream, task_seed(seed, stream), ticks_each, settings, planner, tracker, keep, kinds)
             )
     return {
         "pieces": total["pieces"],
@@ -231,22 +240,25 @@ async def record_tasks(
     }  # fmt: skip
 
 
-def choose_goal(rng: np.random.Generator, state: StateFrame) -> GoalSource:
-    """A random text, or a walk to a random point, with its own seed."""
+def choose_goal(rng: np.random.Generator, state: StateFrame, kinds: KindsOption = "default") -> GoalSource:
+    """A random text of the kinds of `eval text`, or a walk to a random point, with its own seed."""
     if rng.random() < REACH_SHARE:
         text = str(rng.choice(REACH_TEXTS, p=REACH_TEXT_SHARES))
         task = ReachTask(ReachSpec(text=text), int(rng.integers(1 << 31)))
         task.start(BodyView(state.tick, np.asarray(state.body_pos_w_m, dtype=np.float64), state.fallen))
         return task.goal
-    kind = str(rng.choice(list(KIND_SHARES), p=list(KIND_SHARES.values())))
-    return CommandGoal(Command(text=str(rng.choice(DEFAULT[kind]))), state.tick)
+    shares = KIND_SHARES[kinds]
+    kind = str(rng.choice(list(shares), p=list(shares.values())))
+    texts = DEFAULT[kind] if kinds == "default" else [text for _, text in ALL[kind]]
+    return CommandGoal(Command(text=str(rng.choice(texts))), state.tick)
 
 
 async def _stream(
     services: Services, stream: int, seed: int, ticks: int, settings: LoopSettings, planner: str | None,
-    tracker: str | None, keep: Callable[[int, list[Array], bool, int], None],
+    tracker: str | None, keep: Callable[[int, list[Array], bool, int], None], kinds: KindsOption,
 ) -> None:  # fmt: skip
     rng = np.random.default_rng(seed)
+    lost_m = LOST_M if kinds == "default" else TASKS_LOST_M
     heading = float(rng.uniform(-np.pi, np.pi))
     spec = CharacterSpec(pacing="lockstep", seed=seed, planner=planner, tracker=tracker, loop=settings)
     session = Session(str(uuid.uuid4()), spec, services, EventLog(), heading)
@@ -255,15 +267,19 @@ async def _stream(
     since, until, segments = state.tick, state.tick + TICK_HZ, 0
     while state.tick < ticks:
         if state.tick >= until:
-            goal = choose_goal(rng, state)
-            until = state.tick + round(rng.uniform(*SEGMENT_S) * TICK_HZ)
+            if kinds == "all" and leaning(state.body_pos_w_m):
+                # Who has sat down on the floor is not asked to run from there.
+                goal, until = CommandGoal(Command(text=UP_TEXT), state.tick), state.tick + UP_TICKS
+            else:
+                goal = choose_goal(rng, state, kinds)
+                until = state.tick + round(rng.uniform(*SEGMENT_S) * TICK_HZ)
             segments += 1
             session.replan_now()
         state = (await session.cycle(goal)).state
         if state.fallen or state.tick - since >= 30 * TICK_HZ or state.tick >= ticks:
             log = await session.loop.ticks(since, state.tick, TICK_HZ, reference=True)
             reference = np.asarray(log.reference_pos_w_m, dtype=np.float32)
-            found = pieces(reference, np.asarray(log.tracking_error_m), np.asarray(log.fallen, dtype=bool))
+            found = pieces(reference, np.asarray(log.tracking_error_m), np.asarray(log.fallen, dtype=bool), lost_m)
             keep(stream, found, bool(state.fallen), segments)
             segments = 0
             if state.fallen:
