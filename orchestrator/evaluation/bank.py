@@ -60,6 +60,7 @@ REACH_TEXT_SHARES = (0.6, 0.3, 0.1)
 LEADS_TICKS = (0, 12)
 """Plans that start now (lockstep) and plans that are joined ahead of need (realtime) make different junctions."""
 LOST_M = 0.3
+GONE_M = 1.0
 LEAST_TICKS = 45
 RESET_S = 1.0
 TASKS_LOST_M = 0.6
@@ -276,13 +277,15 @@ async def _stream(
             segments += 1
             session.replan_now()
         state = (await session.cycle(goal)).state
-        if state.fallen or state.tick - since >= 30 * TICK_HZ or state.tick >= ticks:
+        # A plan can walk on while the body lies there on purpose, until none of its plans is taken any more.
+        lost = bool(state.fallen) or state.tracking_error_m > GONE_M
+        if lost or state.tick - since >= 30 * TICK_HZ or state.tick >= ticks:
             log = await session.loop.ticks(since, state.tick, TICK_HZ, reference=True)
             reference = np.asarray(log.reference_pos_w_m, dtype=np.float32)
             found = pieces(reference, np.asarray(log.tracking_error_m), np.asarray(log.fallen, dtype=bool), lost_m)
-            keep(stream, found, bool(state.fallen), segments)
+            keep(stream, found, lost, segments)
             segments = 0
-            if state.fallen:
+            if lost:
                 state = await session.reset()
                 goal = CommandGoal(Command(text="a person is standing still."), state.tick)
                 until = state.tick + round(RESET_S * TICK_HZ)
