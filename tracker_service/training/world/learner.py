@@ -23,7 +23,7 @@ from tracker_service.training.world.imagination import Imagination, Sight, can_c
 from tracker_service.training.world.model import WorldModel, model_loss
 from tracker_service.training.world.replay import Places, Replay, Spots
 from tracker_service.training.world.settings import WorldSettings
-from tracker_service.training.world.sight import Reference, observe, still_tracked, support_heights
+from tracker_service.training.world.sight import Reference, observe, still_tracked, support_heights, trembling
 
 F32 = npt.NDArray[np.float32]
 MODEL_GRADIENT_NORM = 5.0
@@ -283,9 +283,11 @@ class Learner:
         for k in range(s.horizon):
             ref = self.references.at(clip, time + k, jump * env.jump_decay**k, env.jump_decay)
             seen = self.imagination.tick(state, bodies, ref, self.heights_of(bodies, seat))
-            state, bodies = seen.state, seen.bodies
             action = seen.action.clamp(-1.0, 1.0)
             reward = seen.reward - s.smoothness * ((action - previous) ** 2).mean(-1) - s.power * seen.power_kw
+            if s.calm > 0:
+                reward = reward - s.calm * trembling(bodies, seen.bodies, ref.linvel_w_mps)
+            state, bodies = seen.state, seen.bodies
             previous = action
             total = total + alive * (1.0 - s.gamma) * s.gamma**k * reward
             beyond = beyond + ((seen.action.abs() - 1.0).clamp(min=0) ** 2).sum(-1).mean()

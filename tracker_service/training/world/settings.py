@@ -17,6 +17,7 @@ class WorldSettings(BaseModel):
         spread: of exploration noise; environments explore with 0, 1/2, 1 and 2 times that.
         averaging: share of the weights' running average that an update leaves.
         smoothness: cost of changing the action from tick to tick. power: cost of mechanical power in kW.
+        calm: cost of the joints' mean squared acceleration ((m/s2)^2) where the reference stands still.
         mirrored_share: of the model's windows that are seen in the mirror.
         bf16: hidden layers in bfloat16; None where the processor has it.
         recorded: updates replayed from a CUDA graph; None where the networks are on a graphics card.
@@ -47,6 +48,7 @@ class WorldSettings(BaseModel):
     averaging: float = Field(default=0.995, gt=0, lt=1)
     smoothness: float = 0.02
     power: float = 0.0
+    calm: float = 0.0
     mirrored_share: float = Field(default=0.5, ge=0, le=1)
     bf16: bool | None = None
     recorded: bool | None = None

@@ -12,9 +12,12 @@ import torch
 from torch import Tensor
 
 from shared.plugins.interfaces import GROUND_GRID_M
+from shared.protocol.rates import TICK_HZ
 from tracker_service.policy.observations import FEEDFORWARD_LIMIT_RAD
 from tracker_service.training.seats import BACK_SIZE_M, EDGE_M, SEAT_SIZE_M, SOFA_SIZE_M
 from tracker_service.training.world.body import Bodies, State, heading_frame, into, small_matmul
+
+STILL_MPS = 0.1
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,14 @@ def tick_reward(state: State, bodies: Bodies, ref: Reference) -> tuple[Tensor, T
 def still_tracked(distance: Tensor, stop_mean_m: float, stop_max_m: float, slack: Tensor) -> Tensor:
     """(B,) whether joint distances (B, J) let an episode go on, the limits times the slack (B,) of its clip."""
     return (distance.mean(-1) < stop_mean_m * slack) & (distance.max(-1).values < stop_max_m * slack)
+
+
+def trembling(before: Bodies, after: Bodies, wanted_mps: Tensor) -> Tensor:
+    """(B,) mean squared acceleration of the joints ((m/s^2)^2) from one tick to the next, as far as a reference with
+    joint velocities (B, J, 3) stands still."""
+    acceleration = (after.linvel_w_mps - before.linvel_w_mps) * TICK_HZ
+    still = torch.exp(-((wanted_mps.norm(dim=-1).mean(-1) / STILL_MPS) ** 2))
+    return still * (acceleration**2).sum(-1).mean(-1)
 
 
 @torch.no_grad()
