@@ -14,6 +14,7 @@ a person does not walk | don't walk | dont walk | do not walk | A person doesnâ€
 a person can't walk | can not walk | a person refuses to walk | nobody walks | not walking | do nothing
 a person neither walks nor runs | don't walk or run | don't walk and don't run | do not run and jump | please don't move
 a person is not walking | a person no longer walks | he will not jump | no jumping please
+take no step at all | make no movement | don't you walk
 """.replace("\n", "|").split("|")
 
 KEPT = [
@@ -43,11 +44,16 @@ KEPT = [
     ("stand still and do nothing", "stand still"),
     ("raise the arm but don't wave it", "raise the arm"),
     ("don't just stand there, run", "run"),
+    ("he makes no move but waves", "he waves"),
+    ("she takes no steps and waves", "she waves"),
 ]
 
 AFFIRMED_TWICE = [
     ("never stop walking", "keep walking"),
     ("a person does not stop walking", "a person keeps walking"),
+    ("won't you sit down", "sit down"),
+    ("can't you walk faster", "walk faster"),
+    ("wouldn't you please wave", "wave"),
     ("not only walks but also waves", "walks and waves"),
 ]
 

@@ -22,6 +22,7 @@ from planner_service.dip.conditions import JOINT_SLOTS
 from planner_service.dip.deeds import Deed, best_of, deed_of, tries_of
 from planner_service.dip.diffusion import cosine_schedule, respaced, sample, spread_steps
 from planner_service.dip.feet import with_planted_feet
+from planner_service.dip.floor import held_seated, is_floor_seat, way_down
 from planner_service.dip.folded import Conditions, Denoising, FoldedDip
 from planner_service.dip.manner import SWUNG_STEPS, Manner, manner_of, swung
 from planner_service.dip.network import DipNetwork
@@ -199,7 +200,7 @@ class DipPlanner:
 
     def plan(self, requests: list[PlanRequest]) -> list[Plan]:
         """One plan for each request, in order; those too hard for legs are made a second time (`timings_ms` has both),
-        and what most plans do by half is planned for several times (`deeds`).
+        what most plans do by half is planned for several times (`deeds`), and who sits on the floor stays so (`floor`).
 
         Raises:
             InvalidInputError: a prefix or horizon of the wrong length.
@@ -208,16 +209,19 @@ class DipPlanner:
         for request in requests:
             self._check(request)
         deeds = [None if speed_mps(request) > STANDS_MPS else self._deed(request) for request in requests]
+        floor = [is_floor_seat(request) for request in requests]
+        requests = [way_down(r) if low else r for r, low in zip(requests, floor, strict=True)]
         tried = [
             [request] if found is None else tries_of(request, root_state(request.prefix_positions_w_m[-1]), *found)
             for request, found in zip(requests, deeds, strict=True)
         ]
         made = iter(self._plans([told for each in tried for told in each]))
         own = [[(told, next(made)) for told in each] for each in tried]
-        return [
+        plans = [
             each[0][1] if found is None else best_of(request, *found, each)
             for request, found, each in zip(requests, deeds, own, strict=True)
         ]
+        return [held_seated(r, p) if low else p for r, p, low in zip(requests, plans, floor, strict=True)]
 
     def _deed(self, request: PlanRequest) -> tuple[Deed, str] | None:
         read = self._read(request.text)

@@ -23,6 +23,9 @@ SHIPPED_SENTENCES = Path(__file__).resolve().parent.parent / "weights" / "senten
 FAR_BELOW = 0.52
 """A cosine below this is far: most paraphrases of what is trained lie above 0.55, most other activities below 0.45
 (`tests/planner/test_known_sentences.py` has both)."""
+ON_FOOT, ON_FOOT_ABOVE, ON_FOOT_LIKELY = ("walk", "run"), 0.4, 0.75
+"""Ways are gone in so many places that sentences of them are far from all others: one that is at least so near and so
+likely (over all meanings of walking, or of running) is a walk or a run all the same."""
 SAME_ABOVE = 0.9
 """A cosine above this is a trained sentence in other words: such a text is planned for as it is."""
 
@@ -44,7 +47,7 @@ class Nearest:
     @property
     def far(self) -> bool:
         """Whether the text is unlike all that was trained."""
-        return self.similarity < FAR_BELOW
+        return self.taken_as is None and self.similarity < FAR_BELOW
 
 
 class KnownSentences:
@@ -127,12 +130,28 @@ class KnownSentences:
         best = int(np.argmax(cosines))
         similarity = float(min(cosines[best], 1.0))
         near = Nearest(self.sentences[best], similarity)
-        if self.head is None or near.far:
+        if self.head is None:
             return near
-        meaning, taken_as = self.head.most_likely(embedding), None
+        meaning: str | None = self.head.most_likely(embedding)
+        if near.far:
+            meaning = self._on_foot(embedding) if similarity > ON_FOOT_ABOVE else None
+            if meaning is None:
+                return near
+        taken_as = None
         if similarity < SAME_ABOVE and (same := self._of.get(meaning)) is not None:
             taken_as = self.sentences[int(same[np.argmax(cosines[same])])]
         return Nearest(near.sentence, similarity, taken_as, meaning)
+
+    def _on_foot(self, embedding: npt.NDArray[np.float32]) -> str | None:
+        """Walking or running, where that is what the head finds likely in all its ways."""
+        head = self.head
+        assert head is not None
+        shares = head.shares(embedding)
+        for way in ON_FOOT:
+            ways = [name.partition(":")[0].partition("_")[0] == way for name in head.names]
+            if float(shares[ways].sum()) >= ON_FOOT_LIKELY:
+                return way
+        return None
 
 
 def _unit(rows: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:

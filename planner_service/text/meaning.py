@@ -31,3 +31,9 @@ class MeaningHead:
     def most_likely(self, embedding: Floats) -> str:
         """The meaning of an embedding (D,) of length 1."""
         return self.names[int(np.argmax(self.weights @ embedding + self.bias))]
+
+    def shares(self, embedding: Floats) -> Floats:
+        """(M,) how likely each meaning is."""
+        logits = self.weights @ embedding + self.bias
+        likely = np.exp(logits - logits.max())
+        return np.asarray(likely / likely.sum(), dtype=np.float32)

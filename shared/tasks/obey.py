@@ -49,18 +49,32 @@ def asks_low(text: str | None) -> bool:
     return text is not None and _LOW.search(text.lower()) is not None
 
 
+_FLOOR_SEAT = re.compile(
+    r"^(?!.*\b(up|ris\w+|rose|stand\w*|stood|lie|lies|lying|lay\w*)\b).*"
+    r"\b(sit|sits|sitting|sat|seat|seated)\b.*\b(floor|ground)\b"
+)
+
+
+def asks_floor_seat(text: str | None) -> bool:
+    """Whether a sentence asks for sitting on the floor."""
+    return text is not None and _FLOOR_SEAT.search(text.lower()) is not None
+
+
 _BLOW = re.compile(
     r"\b(punch\w*|kick\w*|boxes|boxing|shadow ?box\w*|spar\w*|jab\w*|uppercuts?|hooks?|boot|hits? (it|him|with)"
     r"|fight like a boxer|(strikes?|hits?|attack) with (the |a |your )?(\w+ )?(hand|fists?|foot|leg))\b|^box$"
 )
 BLOW_TICKS = 42
-"""A blow's plan is performed so long, through wind-up, blow and way back: made anew on the way it begins again."""
+"""A blow's plan is performed so long, through wind-up, blow and way back: made anew on the way it begins again. So is the
+way down to the floor, which takes as long."""
 
 
 def holds_ticks(text: str | None, targets: Sequence[JointTarget] = ()) -> int:
     """For how long a plan for a sentence is to be performed, in ticks; 0 where it may be made anew at any time, as with
     targets, whose arrival is told."""
-    return BLOW_TICKS if text is not None and not targets and _BLOW.search(text.lower()) else 0
+    if text is None or targets:
+        return 0
+    return BLOW_TICKS if _BLOW.search(text.lower()) or asks_floor_seat(text) else 0
 
 
 @dataclass(frozen=True)

@@ -30,10 +30,13 @@ _CLAUSE = re.compile(
 _AUX = r"do|does|did|is|are|am|was|were|has|have|had|will|would|shall|should|can|could|must|may|might|need"
 _NOT = re.compile(
     rf"\b(?:(?P<aux>{_AUX})\s+not|(?P<short>{_AUX}|ca|wo)n['’]?t|(?P<fused>dont|doesnt|didnt|isnt|arent|wasnt|wont|cant)"
+    r"|(?:takes?|taking|makes?|making)\s+no\s+(?:steps?|moves?|movements?|motions?)"
     r"|cannot|never|not|without|instead\s+of|rather\s+than|nor|neither|no\s+longer|nobody|no\s+one|nothing"
     r"|avoid(?:s|ing)?|refus(?:e|es|ing)\s+to|refrain(?:s|ing)?\s+from|no(?=\s+\w+ing\b))(?!\w)",
     re.IGNORECASE,
 )
+_POLITE = re.compile(r"^\s*(?:please\s+)?(?:wo|would|can?|could)n['’]?t\s+you\s+(?:please\s+)?", re.IGNORECASE)
+"""Asked in the negative, and meant."""
 _NOT_ONLY = re.compile(r"\bnot\s+(?:only|just)\s+(.+?),?\s+but\s+(?:also\s+)?", re.IGNORECASE)
 _NEVER_STOP = re.compile(
     rf"\b(?:(?:{_AUX})\s+not|(?:{_AUX}|wo|ca)n['’]?t|dont|doesnt|never|not)\s+(?P<stop>stops?|stopping|halt|ceases?)\s+"
@@ -45,7 +48,7 @@ _OWN_CLAUSE = re.compile(
     re.IGNORECASE,
 )
 _THIRD_PERSON = re.compile(r"\s+and\s+(?=\w+[^s\W]s\b)", re.IGNORECASE)
-_OF_ONE = re.compile(r"does|avoids|refuses|refrains", re.IGNORECASE)
+_OF_ONE = re.compile(r"does|avoids|refuses|refrains|takes|makes", re.IGNORECASE)
 _LEADING = re.compile(r"^(?:(?:please|just|only|instead|rather|simply|but|and|so|also)\b\s*,?\s*)+", re.IGNORECASE)
 _TRAILING = re.compile(r"[\s,]*(?:\b(?:instead|rather|with|and|but|while|or|to|by|at all)\b[\s,]*)+$", re.IGNORECASE)
 _EMPTY = re.compile(rf"^(?:{_BARE}|{_AUX}|be|being|doing|just|please|who|that|which|both|\s|[,.;:!])*$", re.IGNORECASE)
@@ -78,6 +81,7 @@ def understand(text: str) -> Wording:
     steps: list[str] = []
     dropped: list[str] = []
     subject = ""
+    text = _POLITE.sub("", text)
     parts = [part for part in _STEP.split(text) if part.strip(" ,.;")]
     if any(_NO_STEP.match(part) for part in parts[1:]):
         parts = [text]

@@ -41,6 +41,13 @@ def test_paraphrases_are_near_and_other_activities_far(known: KnownSentences, en
     assert [text for text in lines(FAR) if not known.nearest(text, encoder).far] == []
 
 
+def test_ways_on_foot_are_known_wherever_they_lead(known: KnownSentences, encoder: TextEncoder) -> None:
+    for text in ("walk the dog to the park", "carry on along the pavement"):
+        found = known.nearest(text, encoder)
+        assert not found.far and found.meaning == "walk" and found.taken_as is not None
+    assert known.nearest("drive a car", encoder).far
+
+
 def test_a_training_sentence_is_its_own_nearest_however_it_is_written(
     known: KnownSentences, encoder: TextEncoder
 ) -> None:
