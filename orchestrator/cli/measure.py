@@ -143,6 +143,9 @@ def eval_tasks(
         str, typer.Option(help="closed_loop, open_loop, no_finetune, paper, short or long")
     ] = "closed_loop",
     varied: Annotated[bool, typer.Option("--varied", help="sizes of objects 20 % off, seats of 0.2 to 0.6 m")] = False,
+    push: Annotated[
+        float, typer.Option(min=0.0, max=400.0, help="push the pelvis once in each task, N s, from any side")
+    ] = 0.0,
     parallel: Annotated[int, typer.Option(min=1, max=64, help="episodes at once")] = 8,
     jobs: Annotated[int, typer.Option(min=1, max=64, help="pairs of planner and tracker, a core or two each")] = 1,
     threads: Threads = 1,
@@ -169,7 +172,7 @@ def eval_tasks(
 ) -> None:
     """Success rates of tasks (strict, paper, code) with a Wilson interval."""
     names = [SEQUENCE] if sequences else [name.strip() for name in tasks.split(",") if name.strip()]
-    measured = Measured(seed, variant, planner, tracker, varied)
+    measured = Measured(seed, variant, planner, tracker, varied, push)
     with Bar("episodes") as bar:
         with for_people():
             there = None if against is None else loads(against.read_text(encoding="utf-8"))

@@ -66,7 +66,7 @@ class EpisodeRunner:
         self.tick = 0
         self.session = Session(episode_id, spec, services, events, spec.heading_rad)
         self.session.on_rewind.append(self._rewind)
-        self._on_cycle = on_cycle
+        self.on_cycle = on_cycle
         self._agenda = Agenda(spec.tasks, spec.order, spec.seed)
         self._machine = MachineState()
         self._running: Performing | None = None
@@ -193,8 +193,8 @@ class EpisodeRunner:
         if state.tick - self._last_report >= REPORT_TICKS:
             self._last_report = state.tick
             self._report(state)
-        if self._on_cycle is not None:
-            await self._on_cycle(cycle)
+        if self.on_cycle is not None:
+            await self.on_cycle(cycle)
         # What is shown by a character that was put back was acted on before that.
         signal = None if cycle.put_back else self._signal(cycle)
         if signal is None:

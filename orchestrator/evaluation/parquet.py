@@ -37,6 +37,7 @@ def write_parquet(path: Path, rows: Sequence[Row]) -> None:
         *((name, arrow.bool_()) for name in _FLAGS),
         *((name, arrow.int64()) for name in _WHOLE),
         ("seconds", arrow.float64()),
+        ("push_ns", arrow.float64()),
         ("measures", arrow.map_(arrow.string(), arrow.float64())),
     ]
     flat = [{**row, "measures": list(row["measures"].items())} for row in rows]

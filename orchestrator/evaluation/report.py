@@ -43,7 +43,8 @@ def report(result: dict[str, Any]) -> str:
         result: as `evaluate_tasks` gives it, with what the command adds.
     """
     varied = ", objects varied" if result.get("varied") else ""
-    lines = [f"# Tasks, variant `{result['variant']}`{varied}", ""]
+    pushed = f", a push of {result['push_ns']:g} N s in each task" if result.get("push_ns") else ""
+    lines = [f"# Tasks, variant `{result['variant']}`{varied}{pushed}", ""]
     made = [f"{key} {result[key]}" for key in ("seed", "commit", "weights", "machine") if key in result]
     lines += [f"{', '.join(made)}", ""] if made else []
     lines += [

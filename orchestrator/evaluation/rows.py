@@ -18,7 +18,7 @@ class Measured:
 
     Attributes:
         seed: of all episodes. variant: of the loop. planner, tracker: plug-ins; None for the services' own choice.
-        varied: objects of other sizes (see `starts`).
+        varied: objects of other sizes (see `starts`). push_ns: how hard each task is disturbed (see `pushes`), N s.
         weights: version and weights of the planner and the tracker that answered.
     """
 
@@ -27,6 +27,7 @@ class Measured:
     planner: str | None = None
     tracker: str | None = None
     varied: bool = False
+    push_ns: float = 0.0
     weights: str | None = None
 
     def stamped(self, row: Row) -> Row:
@@ -35,7 +36,7 @@ class Measured:
 
     def owns(self, row: Row) -> bool:
         """Whether a row is of this measurement."""
-        return all(row.get(name) == value for name, value in asdict(self).items())
+        return all(row.get(name, 0.0 if name == "push_ns" else None) == value for name, value in asdict(self).items())
 
 
 def finished(path: Path | None, measured: Measured) -> dict[Key, Row]:

@@ -20,6 +20,7 @@ from orchestrator.core.services import Services
 from orchestrator.core.settings import VARIANTS
 from orchestrator.evaluation.executor import Executor
 from orchestrator.evaluation.parquet import write_parquet
+from orchestrator.evaluation.pushes import Pushes
 from orchestrator.evaluation.rows import Key, Measured, Row, finished, keep
 from orchestrator.evaluation.sequences import SEQUENCE, sequence_of
 from orchestrator.evaluation.starts import Start, octant, start_of
@@ -72,7 +73,10 @@ class EpisodeJob:
 
 async def run_episode(services: Services, job: EpisodeJob) -> tuple[Row, bytes | None]:
     """Run an episode and close its character; its row, and an MP4 if one was asked for and a task failed."""
-    runner = EpisodeRunner(str(uuid.uuid4()), episode_spec(job.key, job.measured), services, EventLog())
+    spec, push_ns = episode_spec(job.key, job.measured), job.measured.push_ns
+    runner = EpisodeRunner(str(uuid.uuid4()), spec, services, EventLog())
+    if push_ns > 0:
+        runner.on_cycle = Pushes(runner, spec.seed, push_ns)
     outcome = await runner.run()
     row = job.measured.stamped(_row(job.key, start_for(job.key, job.measured), outcome))
     film: bytes | None = None
@@ -133,7 +137,8 @@ async def evaluate_tasks(
     if parquet is not None:
         write_parquet(parquet, [rows[key] for key in wanted])
     table = {task: summary([rows[task, i] for i in range(episodes)]) for task in tasks}
-    return {"tasks": table, "variant": measured.variant, "varied": measured.varied, "weights": measured.weights}
+    what = {"variant": measured.variant, "varied": measured.varied, "push_ns": measured.push_ns}
+    return {"tasks": table, **what, "weights": measured.weights}
 
 
 def _save_film(path: Path, film: bytes) -> None:

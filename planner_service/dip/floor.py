@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-
 from scipy.spatial.transform import Rotation
 
 from shared.motion.heading import hips_heading

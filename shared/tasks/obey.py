@@ -65,8 +65,8 @@ _BLOW = re.compile(
     r"|fight like a boxer|(strikes?|hits?|attack) with (the |a |your )?(\w+ )?(hand|fists?|foot|leg))\b|^box$"
 )
 BLOW_TICKS = 42
-"""A blow's plan is performed so long, through wind-up, blow and way back: made anew on the way it begins again. So is the
-way down to the floor, which takes as long."""
+"""A blow's plan is performed so long, through wind-up, blow and way back: made anew on the way it begins again. So is
+the way down to the floor, which takes as long."""
 
 
 def holds_ticks(text: str | None, targets: Sequence[JointTarget] = ()) -> int:
