@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -11,12 +13,15 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
+from orchestrator.evaluation.pushes import Pushes
 from orchestrator.evaluation.report import compared, write_report
 from orchestrator.evaluation.rows import Measured, finished, keep
 from orchestrator.evaluation.sequences import FREE_M, LENGTH, RETRIES, sequence_of
 from orchestrator.evaluation.starts import SEAT_TOP_M, start_of
 from orchestrator.evaluation.statistics import two_proportions_p
 from orchestrator.evaluation.tasks import start_for, summary
+from shared.protocol.control import Ok
+from shared.protocol.messages import Impulse
 from shared.scenes.placing import mark_place
 from shared.scenes.schema import Scene
 from shared.tasks.factory import TaskSpec, make_task
@@ -70,7 +75,8 @@ def test_sequences_are_five_tasks_that_can_be_done_one_after_the_other() -> None
 
 def test_rows_of_another_measurement_or_cut_off_are_run_again(tmp_path: Path) -> None:
     path, measured = tmp_path / "rows.jsonl", Measured(seed=4, weights="a")
-    for other in (measured, replace(measured, weights="b"), replace(measured, varied=True), replace(measured, seed=5)):
+    others = (replace(measured, weights="b"), replace(measured, varied=True), replace(measured, push_ns=40.0))
+    for other in (measured, *others, replace(measured, seed=5)):
         keep(path, other.stamped({"task": "sit", "index": other.seed, "strict": other == measured}))
     whole = path.read_text()
     path.write_text(whole + '{"task": "sit", "ind')
@@ -79,6 +85,41 @@ def test_rows_of_another_measurement_or_cut_off_are_run_again(tmp_path: Path) ->
     assert rows["sit", 4]["strict"]
     assert path.read_text() == whole
     assert finished(tmp_path / "none.jsonl", measured) == {}
+
+
+def test_rows_of_before_there_were_pushes_are_of_none(tmp_path: Path) -> None:
+    path, measured = tmp_path / "rows.jsonl", Measured(seed=4, weights="a")
+    row = measured.stamped({"task": "sit", "index": 0})
+    del row["push_ns"]
+    keep(path, row)
+    assert list(finished(path, measured)) == [("sit", 0)]
+    assert finished(path, replace(measured, push_ns=40.0)) == {}
+
+
+def test_each_task_is_pushed_once_and_alike_in_every_variant() -> None:
+    def pushed(seed: int) -> list[tuple[int, int, float]]:
+        found: list[tuple[int, int, float]] = []
+        runner: Any = SimpleNamespace(results=[], session=SimpleNamespace(loop=SimpleNamespace()))
+
+        async def ask(kind: type[Ok], message: Impulse) -> Ok:
+            found.append((len(runner.results), tick, float(np.linalg.norm(message.impulse_w_ns))))
+            return Ok()
+
+        runner.session.loop.ask_tracker = ask
+        push = Pushes(runner, seed, 80.0)
+        for tick in range(0, 400, 12):
+            if tick == 204:
+                runner.results.append("done")
+            cycle: Any = SimpleNamespace(state=SimpleNamespace(tick=tick))
+            asyncio.run(push(cycle))
+        return found
+
+    (first, at, hard), (second, later, _) = found = pushed(3)
+    assert (first, second) == (0, 1)
+    assert hard == pytest.approx(80.0)
+    assert 15 <= at <= 75 + 12
+    assert 15 <= later - 204 <= 75 + 12
+    assert pushed(3) == found != pushed(4)
 
 
 def test_two_proportions_by_hand() -> None:
