@@ -7,7 +7,8 @@ the wrists that were asked for: a shortened arm is a bent one.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,8 @@ MOST_HELD_M = 0.08
 """A held foot is at most this far from where the network put it."""
 RELEASE = 0.6
 """Share of that distance left one frame after the foot has let go."""
+TOES_FRAMES, TOES_TIMES = 2.0, 3
+"""Toes are put where they should be for about so many frames. The foot turns with the leg: it is done in so many steps."""
 SLACK = 0.99
 """Share left a frame while the foot is held, so that a long stand does not end in a leap."""
 
@@ -44,7 +47,13 @@ def held_offsets(feet_xy_m: Array, contact: npt.NDArray[np.bool_]) -> Array:
     return offset
 
 
-def with_planted_feet(wanted_w_m: Array, contacts: Array, fps: float, hands: Collection[str] = ()) -> MotionClip:
+def with_planted_feet(
+    wanted_w_m: Array,
+    contacts: Array,
+    fps: float,
+    hands: Collection[str] = (),
+    toes: Mapping[str, Sequence[int]] = MappingProxyType({}),
+) -> MotionClip:
     """The clip of a plan.
 
     Args:
@@ -52,6 +61,7 @@ def with_planted_feet(wanted_w_m: Array, contacts: Array, fps: float, hands: Col
         contacts: (T, 4) predicted contact of left ankle, left toe, right ankle, right toe, about 0..1.
         fps: rate of the frames.
         hands: sides whose wrist is put where it is wanted.
+        toes: planned frames about which the toes of a side are put where they are wanted.
 
     Returns:
         the T - 1 planned frames, bone lengths exact.
@@ -63,6 +73,11 @@ def with_planted_feet(wanted_w_m: Array, contacts: Array, fps: float, hands: Col
         target = wanted_w_m[:, ankle].copy()
         target[:, :2] += held_offsets(target[:, :2], stands)
         body = solve_leg(body, side, target)
+        if side in toes:
+            numbers = np.arange(len(body))[:, None]
+            near = np.exp(-((numbers - 1 - np.asarray(toes[side])) ** 2) / (2 * TOES_FRAMES**2)).max(-1, keepdims=True)
+            for _ in range(TOES_TIMES):
+                body = solve_leg(body, side, body[:, ankle] + near * (wanted_w_m[:, toe] - body[:, toe]))
         sole = np.minimum(*(body[:, j, 2] - CANONICAL.rest_positions_m[j, 2] for j in (ankle, toe)))
         lifted = body[:, ankle].copy()
         lifted[:, 2] += np.maximum(-sole, 0.0)

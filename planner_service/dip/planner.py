@@ -17,7 +17,7 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
-from planner_service.dip.aiming import AIMED_STEPS, aimed, hands_of
+from planner_service.dip.aiming import AIMED_STEPS, aimed, hands_of, toes_of
 from planner_service.dip.conditions import JOINT_SLOTS
 from planner_service.dip.deeds import Deed, best_of, deed_of, tries_of
 from planner_service.dip.diffusion import cosine_schedule, respaced, sample, spread_steps
@@ -359,7 +359,9 @@ class DipPlanner:
         if not np.isfinite(features).all():
             raise SimulationError("the diffusion planner gave values that are not finite")
         positions = features_to_global(features, PLANNER_FPS, state)
-        clip = with_planted_feet(positions, features[:, CONTACTS], PLANNER_FPS, hands_of(wishes.aims, row))
+        clip = with_planted_feet(
+            positions, features[:, CONTACTS], PLANNER_FPS, hands_of(wishes.aims, row), toes_of(wishes.aims, row)
+        )
         return Plan(
             planner="dip",
             weights_id=self._weights_id,

@@ -5,6 +5,7 @@ Keyframes and a velocity become conditions only for weights that take them; the 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -28,6 +29,7 @@ ARM_M = 1.0
 """Within it nothing is scaled: a share of the way is about going somewhere, not about where a hand strikes."""
 TOP_SPEED_MPS = 4.0
 """A desired velocity is cut to this: hardly a training window runs faster."""
+_KICK = re.compile(r"\bkick")
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,7 @@ def read_wishes(
     `step_m` is what running covers in a full plan: places farther than that are moved nearer.
     """
     frames = config.plan_frames
+    kicks = [_KICK.search((request.text or "").lower()) is not None for request in requests]
     targets = TargetBatch.none(len(requests), frames)
     keys = KeyframeBatch.none(len(requests), frames) if config.keyframes else None
     velocity = VelocityBatch.none(len(requests)) if config.velocity else None
@@ -78,7 +81,7 @@ def read_wishes(
         placed = [before or bool(valid) for before, valid in zip(placed, velocity.valid, strict=True)]
     return Wishes(
         targets=targets.vector(frames),
-        aims=aims_of(targets, keys),
+        aims=aims_of(targets, keys, kicks),
         keyframes=None if keys is None else keys.vector(),
         velocity=None if velocity is None else velocity.vector(),
         placed=placed,

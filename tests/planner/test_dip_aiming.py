@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from planner_service.dip.aiming import MOST_M, MOST_ROOT_MPS, Aim, aimed, aims_of
+from planner_service.dip.aiming import MOST_M, MOST_ROOT_MPS, Aim, aimed, aims_of, toes_of
 from planner_service.dip.conditions import JOINT_SLOTS, SLOT_JOINTS, KeyframeBatch, TargetBatch
 from planner_service.dip.features_torch import plan_to_positions
 from planner_service.training.dataset import WindowSampler, load_material
@@ -29,7 +29,7 @@ def plans(tmp_path_factory: pytest.TempPathFactory) -> Tensor:
     return WindowSampler(material, 20, 40, 0).draw(2).features[:, 20:]
 
 
-def asked(plans: Tensor, slot: str, off_m: Tensor) -> tuple[list[Aim], Tensor]:
+def asked(plans: Tensor, slot: str, off_m: Tensor, kicks: bool = False) -> tuple[list[Aim], Tensor]:
     """The aim of the first plan's joint, `off_m` from where it is, and that place."""
     targets = TargetBatch.none(len(plans), 40)
     number = JOINT_SLOTS.index(slot)
@@ -37,7 +37,7 @@ def asked(plans: Tensor, slot: str, off_m: Tensor) -> tuple[list[Aim], Tensor]:
     targets.position_m[0, number] = place
     targets.position_valid[0, number] = True
     targets.position_frame[0, number] = FRAME
-    return aims_of(targets, None), place
+    return aims_of(targets, None, [kicks] * len(plans)), place
 
 
 def test_a_hand_comes_to_its_place_and_nothing_but_its_arm_is_moved(plans: Tensor) -> None:
@@ -79,8 +79,14 @@ def test_the_root_is_moved_no_faster_than_legs_can(plans: Tensor) -> None:
     assert left == pytest.approx(2.0 - MOST_ROOT_MPS * FRAME / 20, abs=1e-3)
 
 
-def test_a_foot_alone_is_the_networks_business(plans: Tensor) -> None:
-    assert asked(plans, "left_foot", torch.tensor([0.0, 0.1, 0.0]))[0] == []
+def test_a_foot_comes_to_its_place_but_a_kick_is_the_networks_business(plans: Tensor) -> None:
+    off = torch.tensor([0.0, 0.1, 0.05])
+    aims, place = asked(plans, "left_foot", off)
+    after = plan_to_positions(aimed(plans, aims), 20)[0]
+    torch.testing.assert_close(after[0, FRAME - 1, FOOT], place, atol=1e-5, rtol=0)
+    assert toes_of(aims, 0) == {"left": [FRAME - 1]}
+    assert toes_of(aims, 1) == {}
+    assert asked(plans, "left_foot", off, kicks=True)[0] == []
 
 
 @pytest.mark.parametrize(("sunk_m", "lifted_m"), [(0.06, 0.06), (-0.06, 0.0)])
@@ -101,7 +107,8 @@ def test_a_pose_is_kept_with_its_feet(plans: Tensor) -> None:
     rng = np.random.default_rng(0)
     keys.position_m[1, FRAME - 1] = positions[1, FRAME - 1] + torch.from_numpy(rng.normal(0, 0.03, (22, 3))).float()
     keys.mask[1, FRAME - 1] = True
-    after = plan_to_positions(aimed(plans, aims_of(TargetBatch.none(2, 40), keys)), 20)[0]
+    after = plan_to_positions(aimed(plans, aims_of(TargetBatch.none(2, 40), keys, [False, False])), 20)[0]
     torch.testing.assert_close(after[1, FRAME - 1], keys.position_m[1, FRAME - 1], atol=1e-4, rtol=0)
     alone = KeyframeBatch(keys.position_m, keys.mask & (torch.arange(22) == FOOT))
-    assert aims_of(TargetBatch.none(2, 40), alone) == []
+    assert [aim.joint for aim in aims_of(TargetBatch.none(2, 40), alone, [False, False])] == [FOOT]
+    assert aims_of(TargetBatch.none(2, 40), alone, [False, True]) == []

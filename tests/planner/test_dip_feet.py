@@ -46,3 +46,17 @@ def test_feet_are_lifted_out_of_the_floor() -> None:
     sunk = STANDING - [0.0, 0.0, 0.06]
     assert penetration_mm(sunk) > 50
     assert penetration_mm(with_planted_feet(sunk, np.zeros((41, 4)), 20.0).positions_w_m) < 5
+
+
+def test_toes_are_put_where_they_are_wanted_and_the_other_foot_stays() -> None:
+    toe, other = CANONICAL.indices("left_foot", "right_foot")
+    wanted = STANDING.copy()
+    wanted[..., 2] -= 0.05
+    feet = CANONICAL.indices("left_ankle", "right_ankle", "left_foot", "right_foot")
+    wanted[:, feet, 2] = STANDING[:, feet, 2]
+    wanted[20:24, toe] += [0.1, 0.05, 0.15]
+    plain, put = (with_planted_feet(wanted, np.zeros((41, 4)), 20.0, toes=toes) for toes in ({}, {"left": [21]}))
+    assert np.linalg.norm(plain.positions_w_m[21, toe] - wanted[22, toe]) > 0.05
+    assert np.linalg.norm(put.positions_w_m[21, toe] - wanted[22, toe]) < 0.02
+    np.testing.assert_allclose(put.positions_w_m[:, other], plain.positions_w_m[:, other], atol=1e-6)
+    np.testing.assert_allclose(put.positions_w_m[5, toe], plain.positions_w_m[5, toe], atol=1e-6)
