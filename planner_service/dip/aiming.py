@@ -4,8 +4,8 @@ A network only leans toward a place that it is told. Between two of its steps th
 corrected; what follows is denoised from the corrected one, so that the rest of the body comes to fit (imputation, as
 Karunratanakul et al. 2023 have it for keyframes of motion).
 
-Feet that kick are left to the network: of 25 kicks that were moved to their places 13 succeeded (mean of three runs), as
-that throws the body, where 17 did that were not.
+Feet that kick are left to the network: of 25 kicks that were moved to their places 13 succeeded (mean of three runs),
+as that throws the body, where 17 did that were not.
 """
 
 from __future__ import annotations

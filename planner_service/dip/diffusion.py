@@ -85,21 +85,34 @@ def add_noise(schedule: Schedule, x0: Tensor, step: Tensor, noise: Tensor) -> Te
     return a.sqrt() * x0 + (1 - a).sqrt() * noise
 
 
-def sample(schedule: Schedule, denoise: Denoiser, noise: Tensor) -> Tensor:
+def sample(schedule: Schedule, denoise: Denoiser, noise: Tensor, begun: Tensor | None = None, done: int = 0) -> Tensor:
     """Ancestral sampling.
 
     Args:
         schedule: the diffusion's constants.
         denoise: the (guided) network, told the number of the step within this schedule.
         noise: (steps, B, N, F) standard normal: row 0 is x_T, row i the noise added after the i-th network call.
+        begun: (B, N, F) what `sample_some` had come to after the first `done` network calls; from there it goes on.
 
     Returns:
         (B, N, F) the last x0.
     """
-    x = noise[0]
-    for i, number in enumerate(reversed(range(schedule.steps))):
+    return _sampled(schedule, denoise, noise, begun, done, schedule.steps)[0]
+
+
+def sample_some(schedule: Schedule, denoise: Denoiser, noise: Tensor, calls: int) -> tuple[Tensor, Tensor]:
+    """The first so many network calls of `sample`: (B, N, F) the x0 foreseen by then, and what to go on from."""
+    return _sampled(schedule, denoise, noise, None, 0, calls)
+
+
+def _sampled(
+    schedule: Schedule, denoise: Denoiser, noise: Tensor, begun: Tensor | None, done: int, until: int
+) -> tuple[Tensor, Tensor]:
+    x = x0 = noise[0] if begun is None else begun
+    for i in range(done, until):
+        number = schedule.steps - 1 - i
         x0 = denoise(x, number)
         if number == 0:
-            return x0
+            return x0, x0
         x = schedule.x0_weight[number] * x0 + schedule.xt_weight[number] * x + schedule.sigma[number] * noise[i + 1]
-    return x
+    return x0, x

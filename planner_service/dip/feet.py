@@ -27,7 +27,7 @@ MOST_HELD_M = 0.08
 RELEASE = 0.6
 """Share of that distance left one frame after the foot has let go."""
 TOES_FRAMES, TOES_TIMES = 2.0, 3
-"""Toes are put where they should be for about so many frames. The foot turns with the leg: it is done in so many steps."""
+"""Toes are put where they should be for about so many frames; as the foot turns with the leg, in so many steps."""
 SLACK = 0.99
 """Share left a frame while the foot is held, so that a long stand does not end in a leap."""
 

@@ -18,9 +18,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
 from planner_service.dip.aiming import AIMED_STEPS, aimed, hands_of, toes_of
+from planner_service.dip.batch import Batch
 from planner_service.dip.conditions import JOINT_SLOTS
-from planner_service.dip.deeds import Deed, best_of, deed_of, tries_of
-from planner_service.dip.diffusion import cosine_schedule, respaced, sample, spread_steps
+from planner_service.dip.deeds import PROMISING, Deed, best_of, deed_of, promising, tries_of
+from planner_service.dip.diffusion import Denoiser, cosine_schedule, respaced, sample, sample_some, spread_steps
+from planner_service.dip.effort import EASIER_GUIDANCE, STANDS_MPS, eased, speed_mps, too_hard
 from planner_service.dip.feet import with_planted_feet
 from planner_service.dip.floor import held_seated, is_floor_seat, way_down
 from planner_service.dip.folded import Conditions, Denoising, FoldedDip
@@ -28,14 +30,13 @@ from planner_service.dip.manner import SWUNG_STEPS, Manner, manner_of, swung
 from planner_service.dip.network import DipNetwork
 from planner_service.dip.runtime import Runtime, choose_blocks, usual_steps
 from planner_service.dip.weights import SHIPPED, DipWeights, load_weights
-from planner_service.dip.wishes import Wishes, read_wishes
+from planner_service.dip.wishes import read_wishes
 from planner_service.text.encoder import CachedTextEncoder, TextEncoder, pad_tokens
 from planner_service.text.known import KnownSentences, Nearest
 from planner_service.text.pretrained import minilm
 from shared.errors import InvalidInputError, SimulationError
 from shared.motion.features import (
     CONTACTS,
-    RootState,
     features_to_global,
     global_to_features,
     root_state,
@@ -46,47 +47,6 @@ from shared.protocol.messages import PLANNER_FPS, Plan, PlanRequest, TextRead
 
 Array = npt.NDArray[np.float64]
 VERSION = "1"
-
-
-EASED_MPS = (1.2, 2.0)
-"""Speeds between which guidance fades to none."""
-STANDS_MPS = 0.6
-"""Whoever goes faster comes to a stand first, in the usual manner: less guided, a runner runs on with waving arms."""
-SPEED_FRAMES = 4
-
-
-def speed_mps(request: PlanRequest) -> float:
-    """How fast the pelvis goes over the floor at the end of a request's prefix."""
-    root = request.prefix_positions_w_m[-SPEED_FRAMES - 1 :, 0, :2].astype(np.float64)
-    return float(np.linalg.norm(root[-1] - root[0])) * PLANNER_FPS / max(len(root) - 1, 1)
-
-
-def eased(guidance: float, speed_mps: float) -> float:
-    """Guidance for a body at a speed: above 1 it fades to 1 (none) between EASED_MPS.
-
-    Guidance pulls toward what is typical of a text, and what is typical of waving or jumping on the spot is to stand:
-    of twelve runners at 2.5 m/s that were told to wave, plans with guidance 5 stopped the pelvis over the feet within
-    half a second, which throws a body, those with 1 ran on for 0.4 s and slowed down over the next half.
-    """
-    low, high = EASED_MPS
-    share = min(max((speed_mps - low) / (high - low), 0.0), 1.0)
-    return guidance if guidance <= 1.0 else guidance + share * (1.0 - guidance)
-
-
-EASIER_GUIDANCE = 1.5
-LEGS_MPS2 = 3.5
-"""A plan that changes the pelvis' speed faster is made again with less guidance, unless the request gives its own.
-Eight bodies that stood and were told to run had plans that gained 4.0 m/s2 (median) with guidance 5, 3.1 with 1.5."""
-SPAN_FRAMES = 6
-
-
-def hardest_mps2(positions_w_m: npt.NDArray[np.floating]) -> float:
-    """Fastest change of the pelvis' speed over the floor, over SPAN_FRAMES, in motion (T, J, 3) at PLANNER_FPS."""
-    step = np.linalg.norm(np.diff(positions_w_m[:, 0, :2].astype(np.float64), axis=0), axis=-1) * PLANNER_FPS
-    smooth = np.convolve(step, np.ones(3) / 3, "valid")
-    if len(smooth) <= SPAN_FRAMES:
-        return 0.0
-    return float(np.abs(smooth[SPAN_FRAMES:] - smooth[:-SPAN_FRAMES]).max()) * PLANNER_FPS / SPAN_FRAMES
 
 
 class DipSettings(BaseModel):
@@ -160,6 +120,7 @@ class DipPlanner:
         wanted = self._settings.steps or usual_steps(trained, self._settings.bf16)
         self._steps = spread_steps(trained, min(wanted, trained))
         self._schedule = respaced(cosine_schedule(self._config.steps), self._steps)
+        self._half = len(self._steps) // 2
         self._weights_id = weights.sha256[:12]
         self._spec = PlannerSpec(
             name="dip",
@@ -215,11 +176,10 @@ class DipPlanner:
             [request] if found is None else tries_of(request, root_state(request.prefix_positions_w_m[-1]), *found)
             for request, found in zip(requests, deeds, strict=True)
         ]
-        made = iter(self._plans([told for each in tried for told in each]))
-        own = [[(told, next(made)) for told in each] for each in tried]
+        made = iter(self._tried(requests, deeds, tried))
         plans = [
-            each[0][1] if found is None else best_of(request, *found, each)
-            for request, found, each in zip(requests, deeds, own, strict=True)
+            next(made)[1] if found is None else best_of(request, *found, [next(made) for _ in range(PROMISING)])
+            for request, found in zip(requests, deeds, strict=True)
         ]
         return [held_seated(r, p) if low else p for r, p, low in zip(requests, plans, floor, strict=True)]
 
@@ -227,55 +187,93 @@ class DipPlanner:
         read = self._read(request.text)
         return None if read is None else deed_of(read.meaning, request)
 
-    def _plans(self, requests: list[PlanRequest]) -> list[Plan]:
-        """One plan for each request, of one sample or, where that was too hard, of a second one."""
-        if not requests:
-            return []
+    def _tried(
+        self, requests: list[PlanRequest], deeds: list[tuple[Deed, str] | None], tried: list[list[PlanRequest]]
+    ) -> list[tuple[PlanRequest, Plan]]:
+        """Each request's own plan, or the plans of its PROMISING tries; the others are given up half-way."""
+        flat = [told for each in tried for told in each]
+        if not any(deeds):
+            return list(zip(flat, self._plans(flat), strict=True))
         began = time.monotonic()
-        prefixes = [
-            global_to_features(request.prefix_positions_w_m.astype(np.float64), PLANNER_FPS) for request in requests
+        batch = self._batch(flat)
+        motions, begun = self._half_way(batch)
+        kept, first = [], 0
+        for request, found, each in zip(requests, deeds, tried, strict=True):
+            own = [motion[: request.horizon_frames] for motion in motions[first : first + len(each)]]
+            kept += [first] if found is None else [first + i for i in promising(request, *found, own)]
+            first += len(each)
+        spent_ms = {"tries": (time.monotonic() - began) * 1e3}
+        chosen = [flat[i] for i in kept]
+        plans = [
+            plan.model_copy(update={"timings_ms": {**plan.timings_ms, **spent_ms}})
+            for plan in self._plans(chosen, begun[kept])
         ]
+        return list(zip(chosen, plans, strict=True))
+
+    def _batch(self, requests: list[PlanRequest]) -> Batch:
+        """All that sampling needs of some requests."""
+        began = time.monotonic()
+        prefixes = [global_to_features(r.prefix_positions_w_m.astype(np.float64), PLANNER_FPS) for r in requests]
         states = [root_state(request.prefix_positions_w_m[-1]) for request in requests]
         wishes = read_wishes(requests, states, self._config, self._settings.step_m)
         encoded = time.monotonic()
         read = [self._read(request.text) for request in requests]
         taken_as = [None if near is None else near.taken_as for near in read]
         text, mask = self._encode([taken or r.text for taken, r in zip(taken_as, requests, strict=True)])
-        embedded = time.monotonic()
-        prefix = self._normalizer.normalize(torch.from_numpy(np.stack(prefixes)).float())
-        manners = [self._manner(r, near, p) for r, near, p in zip(requests, read, wishes.placed, strict=True)]
-        guidance = [manner.guidance for manner in manners]
-        noise = torch.stack([self._noise(r.seed) for r in requests], dim=1)
-        planned = self._denormalized(noise, prefix, wishes, text, mask, manners)
+        return Batch(
+            prefixes=prefixes,
+            states=states,
+            wishes=wishes,
+            taken_as=taken_as,
+            prefix=self._normalizer.normalize(torch.from_numpy(np.stack(prefixes)).float()),
+            text=text,
+            mask=mask,
+            manners=[self._manner(r, near, p) for r, near, p in zip(requests, read, wishes.placed, strict=True)],
+            noise=torch.stack([self._noise(r.seed) for r in requests], dim=1),
+            timings_ms={"features": (encoded - began) * 1e3, "text": (time.monotonic() - encoded) * 1e3},
+        )
+
+    def _plans(self, requests: list[PlanRequest], begun: Tensor | None = None) -> list[Plan]:
+        """One plan for each request, of one sample or, where that was too hard, of a second one; with what `_half_way`
+        had begun (B, N, F), the plans that it leads to."""
+        if not requests:
+            return []
+        batch = self._batch(requests)
+        began = time.monotonic()
+        guidance = [manner.guidance for manner in batch.manners]
+        with torch.inference_mode():
+            clean = sample(
+                self._schedule, self._denoiser(batch), batch.noise, begun, self._half if begun is not None else 0
+            )
+        planned = self._normalizer.denormalize(clean).double().numpy()
         sampled = time.monotonic()
         plans = [
-            self._to_plan(request, features, prefixes[i], states[i], wishes, i, guidance[i])
+            self._to_plan(request, features, batch, i)
             for i, (request, features) in enumerate(zip(requests, planned, strict=True))
         ]
         timings = {
-            "features": (encoded - began) * 1e3,
-            "text": (embedded - encoded) * 1e3,
-            "diffusion": (sampled - embedded) * 1e3,
+            **batch.timings_ms,
+            "diffusion": (sampled - began) * 1e3,
             "decode": (time.monotonic() - sampled) * 1e3,
         }
         plans = [
             plan.model_copy(update={"timings_ms": timings, "understood": taken})
-            for plan, taken in zip(plans, taken_as, strict=True)
+            for plan, taken in zip(plans, batch.taken_as, strict=True)
         ]
-        hard = [i for i, plan in enumerate(plans) if self._too_hard(requests[i], plan, guidance[i])]
+        hard = [i for i, plan in enumerate(plans) if too_hard(requests[i], plan, guidance[i])]
         again = self._plans([requests[i].model_copy(update={"guidance": EASIER_GUIDANCE}) for i in hard])
         for i, plan in zip(hard, again, strict=True):
             both = {name: timings[name] + took for name, took in plan.timings_ms.items()}
             plans[i] = plan.model_copy(update={"timings_ms": both})
         return plans
 
-    @staticmethod
-    def _too_hard(request: PlanRequest, plan: Plan, guidance: float) -> bool:
-        """Whether legs may not follow a plan, and less guidance may help."""
-        if request.guidance is not None or request.text is None or guidance <= EASIER_GUIDANCE:
-            return False
-        motion = np.concatenate([request.prefix_positions_w_m[-SPAN_FRAMES:], plan.positions_w_m])
-        return hardest_mps2(motion) > LEGS_MPS2
+    def _half_way(self, batch: Batch) -> tuple[list[Array], Tensor]:
+        """Half of the network calls: the motions (N, 22, 3) foreseen by then, and what to go on from (B, N, F)."""
+        with torch.inference_mode():
+            foreseen, begun = sample_some(self._schedule, self._denoiser(batch), batch.noise, self._half)
+        clean = self._normalizer.denormalize(foreseen).double().numpy()
+        rows = zip(batch.prefixes, clean, batch.states, strict=True)
+        return [features_to_global(np.concatenate([p[-1:], f]), PLANNER_FPS, s)[1:] for p, f, s in rows], begun
 
     def _manner(self, request: PlanRequest, read: Nearest | None, placed: bool) -> Manner:
         coarse = self._settings.coarse_guidance
@@ -314,51 +312,41 @@ class DipPlanner:
         shape = (len(self._steps), self._config.plan_frames, self._config.features)
         return torch.randn(shape, generator=generator)
 
-    def _denormalized(
-        self, noise: Tensor, prefix: Tensor, wishes: Wishes, text: Tensor, mask: Tensor, manners: Sequence[Manner]
-    ) -> npt.NDArray[np.float64]:
-        """(B, N, F) features of guided samples; rows that need it run twice in one batch, with and without text."""
+    def _denoiser(self, batch: Batch) -> Denoiser:
+        """The network for a batch, guided and aimed: clean plans (B, N, F) from noisy ones at a step. Rows that need it
+        run twice in one batch, with and without text."""
+        manners, wishes = batch.manners, batch.wishes
         guidance = torch.tensor([manner.guidance for manner in manners])
-        mask = mask & (guidance != 0.0)[:, None]  # a guidance of zero: the text does not count at all
+        mask = batch.mask & (guidance != 0.0)[:, None]  # a guidance of zero: the text does not count at all
         both = torch.nonzero(mask.any(-1) & (guidance != 1.0)).flatten()
         fine = guidance[both][:, None, None]
         coarse = torch.minimum(fine, torch.tensor([manner.coarse for manner in manners])[both][:, None, None])
         # Fewer steps than were trained swing as much in all.
         more = (1 + torch.tensor([manner.swing for manner in manners])) ** (self._config.steps / len(self._steps)) - 1
         first_fine = self._config.steps - self._settings.coarse_steps
-        with torch.inference_mode():
-            given = Conditions(prefix, wishes.targets, text, mask, wishes.keyframes, wishes.velocity)
-            state = self._dip.begin(given, both, self._steps)
+        given = Conditions(batch.prefix, wishes.targets, batch.text, mask, wishes.keyframes, wishes.velocity)
+        state = self._dip.begin(given, both, self._steps)
 
-            def denoise(x: Tensor, position: int) -> Tensor:
-                out = self._dip.denoise(state, x, position)
-                guided, free = out[: len(mask)], out[len(mask) :]
-                scale = fine if self._steps[position] < first_fine else coarse
-                guided[both] = free + scale * (guided[both] - free)
-                if self._steps[position] < SWUNG_STEPS and bool(more.any()):
-                    guided = swung(guided, more)
-                if not wishes.aims or self._steps[position] >= AIMED_STEPS:
-                    return guided
-                return self._normalizer.normalize(aimed(self._normalizer.denormalize(guided), wishes.aims))
+        def denoise(x: Tensor, position: int) -> Tensor:
+            out = self._dip.denoise(state, x, position)
+            guided, free = out[: len(mask)], out[len(mask) :]
+            scale = fine if self._steps[position] < first_fine else coarse
+            guided[both] = free + scale * (guided[both] - free)
+            if self._steps[position] < SWUNG_STEPS and bool(more.any()):
+                guided = swung(guided, more)
+            if not wishes.aims or self._steps[position] >= AIMED_STEPS:
+                return guided
+            return self._normalizer.normalize(aimed(self._normalizer.denormalize(guided), wishes.aims))
 
-            planned = self._normalizer.denormalize(sample(self._schedule, denoise, noise))
-        return planned.double().numpy()
+        return denoise
 
-    def _to_plan(
-        self,
-        request: PlanRequest,
-        planned: Array,
-        prefix: Array,
-        state: RootState,
-        wishes: Wishes,
-        row: int,
-        guidance: float,
-    ) -> Plan:
+    def _to_plan(self, request: PlanRequest, planned: Array, batch: Batch, row: int) -> Plan:
         """World clip of one sample, the `row` of its batch, its bones of exact length."""
-        features = np.concatenate([prefix[-1:], planned[: request.horizon_frames]])
+        wishes = batch.wishes
+        features = np.concatenate([batch.prefixes[row][-1:], planned[: request.horizon_frames]])
         if not np.isfinite(features).all():
             raise SimulationError("the diffusion planner gave values that are not finite")
-        positions = features_to_global(features, PLANNER_FPS, state)
+        positions = features_to_global(features, PLANNER_FPS, batch.states[row])
         clip = with_planted_feet(
             positions, features[:, CONTACTS], PLANNER_FPS, hands_of(wishes.aims, row), toes_of(wishes.aims, row)
         )
@@ -371,7 +359,7 @@ class DipPlanner:
             rotations_6d=clip.rotations_6d,
             seed=request.seed,
             ignored_conditions=wishes.ignored[row],
-            guidance=guidance if request.text is not None else None,
+            guidance=batch.manners[row].guidance if request.text is not None else None,
         )
 
 

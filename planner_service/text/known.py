@@ -132,22 +132,19 @@ class KnownSentences:
         near = Nearest(self.sentences[best], similarity)
         if self.head is None:
             return near
-        meaning: str | None = self.head.most_likely(embedding)
-        if near.far:
-            meaning = self._on_foot(embedding) if similarity > ON_FOOT_ABOVE else None
-            if meaning is None:
-                return near
+        meaning = self._on_foot(self.head, embedding, similarity) if near.far else self.head.most_likely(embedding)
+        if meaning is None:
+            return near
         taken_as = None
         if similarity < SAME_ABOVE and (same := self._of.get(meaning)) is not None:
             taken_as = self.sentences[int(same[np.argmax(cosines[same])])]
         return Nearest(near.sentence, similarity, taken_as, meaning)
 
-    def _on_foot(self, embedding: npt.NDArray[np.float32]) -> str | None:
+    @staticmethod
+    def _on_foot(head: MeaningHead, embedding: npt.NDArray[np.float32], similarity: float) -> str | None:
         """Walking or running, where that is what the head finds likely in all its ways."""
-        head = self.head
-        assert head is not None
         shares = head.shares(embedding)
-        for way in ON_FOOT:
+        for way in ON_FOOT if similarity > ON_FOOT_ABOVE else ():
             ways = [name.partition(":")[0].partition("_")[0] == way for name in head.names]
             if float(shares[ways].sum()) >= ON_FOOT_LIKELY:
                 return way

@@ -76,11 +76,12 @@ def planner(weights: DipWeights) -> DipPlanner:
 
 
 def test_conditions_added_to_weights_change_nothing_until_they_are_trained(plain: DipWeights) -> None:
-    """Also with keys of feet, which only the network heeds, and a velocity asked for; guidance is given, since its
-    default follows what is asked for."""
+    """Also with keys of feet that kick, which only the network heeds, and a velocity; guidance is given, since
+    its default follows what is asked for."""
     more = replace(plain, network=with_conditions(plain.network, ("keyframes", "velocity")).requires_grad_(False))
     foot = CANONICAL.index("left_foot")
     asked = request(**keys((60, foot, (1.0, 0.2, 0.1))), desired_velocity_w_mps=(1.0, 0.0), guidance=3.0)
+    asked = asked.model_copy(update={"text": "a person kicks"})
     before, after = planner(plain).plan([asked])[0], planner(more).plan([asked])[0]
     np.testing.assert_array_equal(after.positions_w_m, before.positions_w_m)
     np.testing.assert_array_equal(planner(more).plan([request()])[0].positions_w_m,

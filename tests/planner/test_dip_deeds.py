@@ -6,7 +6,18 @@ import numpy as np
 import pytest
 import torch
 
-from planner_service.dip.deeds import DEEDS, KICK, PUNCH, TRIES, deed_of, kicking, punching, tries_of
+from planner_service.dip.deeds import (
+    DEEDS,
+    KICK,
+    PROMISING,
+    PUNCH,
+    TRIES,
+    deed_of,
+    kicking,
+    promising,
+    punching,
+    tries_of,
+)
 from planner_service.dip.planner import DipPlanner
 from planner_service.text.known import KnownSentences
 from planner_service.training.rollout import Rollout
@@ -94,6 +105,17 @@ def test_a_limb_is_sent_ahead_of_the_body_wherever_it_faces() -> None:
     np.testing.assert_allclose(told.targets[0].position_w_m, (x, y + PUNCH.lands.ahead_m, PUNCH.lands.up_m), atol=1e-5)
     assert told.heading.heading_rad == pytest.approx(np.pi / 2)
     assert told.targets[0].arrival_tick == asked.start_tick + PUNCH.lands.ticks
+
+
+def test_only_the_best_of_what_is_foreseen_is_sampled_to_the_end() -> None:
+    motions = [np.repeat(STANDING.positions_w_m[-1:].astype(float), 20, axis=0) for _ in range(5)]
+    ankle = CANONICAL.index("left_ankle")
+    for number, motion in enumerate(motions):
+        motion[8:12, ankle] += [0.4, 0.0, 0.1 * ((number * 2) % 5)]
+    kept = promising(request("kick"), KICK, "left", motions)
+    assert len(kept) == PROMISING
+    worth = [kicking(motion, "left") for motion in motions]
+    assert [worth[i] for i in kept] == sorted(worth, reverse=True)[:PROMISING]
 
 
 def test_a_fast_straight_fist_is_worth_more_than_a_slow_or_the_other_one() -> None:

@@ -9,7 +9,7 @@ import torch
 
 from planner_service.dip.conditions import TARGET_NUMBERS
 from planner_service.dip.config import preset
-from planner_service.dip.diffusion import add_noise, cosine_schedule, respaced, sample, spread_steps
+from planner_service.dip.diffusion import add_noise, cosine_schedule, respaced, sample, sample_some, spread_steps
 from planner_service.dip.network import DipNetwork, parameter_count, whiten_text
 from shared.errors import InvalidInputError
 
@@ -119,3 +119,16 @@ def test_few_sentences_leave_the_rest_of_the_whitening_zero() -> None:
     whiten_text(network, torch.randn(5, 384))
     assert not network.text_whitening[:, 5:].any()
     assert torch.isfinite(network.text_whitening).all()
+
+
+def test_what_was_begun_is_gone_on_with_to_the_same_end() -> None:
+    schedule, noise = cosine_schedule(10), torch.randn(10, 3, 4, 5, generator=torch.Generator().manual_seed(0))
+
+    def denoise(x: torch.Tensor, number: int) -> torch.Tensor:
+        return torch.tanh(x) * (1 + number)
+
+    whole = sample(schedule, denoise, noise)
+    foreseen, begun = sample_some(schedule, denoise, noise, 4)
+    assert foreseen.shape == begun.shape == whole.shape
+    kept = [2, 0]
+    assert torch.equal(sample(schedule, denoise, noise[:, kept], begun[kept], 4), whole[kept])

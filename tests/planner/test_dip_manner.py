@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from planner_service.dip.effort import EASIER_GUIDANCE
 from planner_service.dip.manner import ARMS, FIRM, MANNERS, Manner, manner_of, swung
-from planner_service.dip.planner import EASIER_GUIDANCE, DipPlanner
+from planner_service.dip.planner import DipPlanner
 from planner_service.text.known import KnownSentences
 from planner_service.training.rollout import Rollout
 from shared.data.texts import SENTENCES

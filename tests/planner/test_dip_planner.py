@@ -10,9 +10,10 @@ import torch
 
 from planner_service.dip.conditions import JOINT_SLOTS
 from planner_service.dip.config import preset
+from planner_service.dip.effort import EASIER_GUIDANCE, eased, hardest_mps2, speed_mps
 from planner_service.dip.features_torch import Normalizer
 from planner_service.dip.network import DipNetwork
-from planner_service.dip.planner import EASIER_GUIDANCE, DipPlanner, DipSettings, eased, hardest_mps2, speed_mps
+from planner_service.dip.planner import DipPlanner, DipSettings
 from planner_service.dip.weights import load_weights, save_weights
 from planner_service.text.encoder import TextEncoderSpec
 from shared.errors import InvalidInputError, UnavailableError
@@ -219,7 +220,7 @@ def test_a_plan_that_legs_cannot_follow_is_made_again_with_less_guidance(
 ) -> None:
     gentle = planner.plan([request(text="walk", guidance=EASIER_GUIDANCE)])[0]
     usual = planner.plan([request(text="walk")])[0]
-    monkeypatch.setattr("planner_service.dip.planner.LEGS_MPS2", -1.0)
+    monkeypatch.setattr("planner_service.dip.effort.LEGS_MPS2", -1.0)
     again = planner.plan([request(text="walk"), request(text="walk", guidance=5.0), request(text=None)])
     assert [plan.guidance for plan in again] == [EASIER_GUIDANCE, 5.0, None]
     np.testing.assert_array_equal(again[0].positions_w_m, gentle.positions_w_m)
