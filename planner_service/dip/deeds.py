@@ -88,7 +88,7 @@ def tries_of(request: PlanRequest, state: RootState, deed: Deed, side: str) -> l
 
 def promising(request: PlanRequest, deed: Deed, side: str, foreseen_w_m: Sequence[Array]) -> list[int]:
     """Which of the plans of `tries_of` are worth being sampled to the end, best first, by what (N, 22, 3) each is
-    foreseen to be half-way: of 72 blows the best of all twelve at the end was nearly always among the five best by then."""
+    foreseen to be half-way: of 72 blows the five best by then had one within 0.02 (mean) of the best of all twelve."""
     before = request.prefix_positions_w_m[-PREFIX_FRAMES:].astype(np.float64)
     worth = [deed.worth(np.concatenate([before, motion]), side) for motion in foreseen_w_m]
     return [int(i) for i in np.argsort(worth)[::-1][:PROMISING]]

@@ -5,23 +5,29 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
+import pytest
 
+from orchestrator.core.command import CommandGoal
 from orchestrator.core.services import Services, connect
 from orchestrator.core.supervise import Stack
 from orchestrator.evaluation.bank import (
     BESIDE_TICKS,
+    KIND_SHARES,
     LEAST_TICKS,
+    choose_goal,
     pieces,
     plans_beside,
     record_bank,
     record_tasks,
     seat_of,
 )
+from orchestrator.evaluation.commands import ALL
 from shared.motion.ik import clip_from_positions, standing_clip
-from shared.protocol.messages import Plan
+from shared.protocol.messages import Plan, StateFrame
 from shared.scenes.files import load_scene
 from shared.tasks.interface import Trace
 from shared.tasks.world import World
@@ -70,6 +76,16 @@ def test_a_bank_holds_the_references_of_the_loop(tmp_path: Path) -> None:
         assert len(positions) >= 350
         # The planner stands and the tracker moves without physics: the reference stands all the time, on soft knees.
         assert np.abs(positions[..., 2].max(axis=1) - height_m).max() < 0.03
+
+
+def test_all_kinds_of_commands_are_asked_for(tmp_path: Path) -> None:
+    assert set(KIND_SHARES["all"]) == set(ALL)
+    assert sum(KIND_SHARES["all"].values()) == pytest.approx(1.0)
+    rng = np.random.default_rng(0)
+    state = cast(StateFrame, SimpleNamespace(tick=0, body_pos_w_m=standing_clip(1, 30).positions_w_m[0], fallen=False))
+    goals = [choose_goal(rng, state, "all") for _ in range(900)]
+    asked = {goal.command.text for goal in goals if isinstance(goal, CommandGoal)}
+    assert asked == {text for sentences in ALL.values() for _, text in sentences}
 
 
 def test_a_bank_of_tasks_holds_what_was_planned_and_where_the_seat_is(tmp_path: Path) -> None:

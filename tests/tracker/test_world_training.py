@@ -22,12 +22,12 @@ from tracker_service.training.env import TrackingEnv
 from tracker_service.training.env_settings import EnvSettings
 from tracker_service.training.sampling import FailureTable, kin_of
 from tracker_service.training.seats import HEIGHTS
-from tracker_service.training.world.body import State, tensor
+from tracker_service.training.world.body import Bodies, State, tensor
 from tracker_service.training.world.learner import Learner
 from tracker_service.training.world.quality import drift_mm, response_cosine
 from tracker_service.training.world.replay import Replay
 from tracker_service.training.world.settings import WorldSettings
-from tracker_service.training.world.sight import observe, servo_targets, still_tracked, tick_reward
+from tracker_service.training.world.sight import observe, servo_targets, still_tracked, tick_reward, trembling
 from tracker_service.training.world.trainer import WorldTrainer
 from tracker_service.training.world.weights import export_learner, training_file, warm_start
 
@@ -59,6 +59,17 @@ def short_start(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def trainer(references: ReferenceSet, out: Path, settings: WorldSettings = TINY, seed: int = 3) -> WorldTrainer:
     return WorldTrainer(HUMAN, references, references, out, SMALL, settings, seed)
+
+
+def test_trembling_counts_where_the_reference_stands_still() -> None:
+    still = torch.zeros(2, 22, 3)
+    before, after = (Bodies(still, torch.zeros(2, 22, 3, 3), still + speed) for speed in (0.0, 0.1))
+    walking = still.clone()
+    walking[1, :, 0] = 1.0
+    shaken = trembling(before, after, walking)
+    assert shaken[0] == pytest.approx(3 * (0.1 * 30) ** 2)  # 0.1 m/s along each axis within a tick
+    assert shaken[1] < 1e-6
+    assert trembling(before, before, walking).abs().max() == 0
 
 
 def test_simulation_and_imagination_see_want_and_judge_the_same(references: ReferenceSet, tmp_path: Path) -> None:

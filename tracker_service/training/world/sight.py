@@ -1,7 +1,7 @@
 """What policy and critic see, and what a tick is worth, in torch with gradients.
 
 The same functions as `policy.observations`, `training.rewards` and `TrackingEnv` have in numpy for the simulator;
-tests/tracker/test_world_sight.py holds them together. B is the batch, J = 22 bodies, H hinges, K support heights.
+tests/tracker/test_world_training.py holds them together. B is the batch, J = 22 bodies, H hinges, K support heights.
 """
 
 from __future__ import annotations
