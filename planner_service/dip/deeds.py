@@ -1,8 +1,8 @@
 """What is planned for several times: of some motion most plans show half a deed, and the best one is performed.
 
 The network foresees a mean over phases, and so of a punch from a stand a small one, late or never: of runs of five
-seconds without physics one of twenty showed a punch. Told where the fist should be and when, it knows the phase. Of
-several plans one is chosen by what the motion shows, as in rejection sampling (tables in docs/experiments_planner.md).
+seconds without physics one of twenty showed a punch. Told where the fist should be and when, it knows the phase. Waves
+swing in some plans and hardly in others. Of several plans one is chosen by what the motion shows, as in rejection sampling (tables in docs/experiments_planner.md).
 """
 
 from __future__ import annotations
@@ -15,15 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.motion.features import RootState
+from shared.motion.heading import hips_heading
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import PLANNER_FPS, HeadingTarget, JointTarget, Plan, PlanRequest
 from shared.tasks.kinds import SIDES, ahead_m, ahead_mps, arm_reach
 
 Array = npt.NDArray[np.float64]
 
-TRIES = 12
-PROMISING = 5
-"""So many of them are sampled to the end."""
 TOP_MPS, FASTER_MPS = 5.0, 0.5
 """Faster punches are no better; a fist is this much faster than the other."""
 STRETCHED, STRETCHED_FRAMES = 0.85, 4
@@ -31,6 +29,8 @@ LIFT_M, REACH_M, HIGH_M = 0.45, 0.5, 0.65
 """A kick is better the higher and the farther up to here; higher than the last it throws the body."""
 CALM_MPS = 0.55
 """Of kicks with a pelvis faster than 0.67 m/s one in twelve ended in a fall, slower than 0.57 one in a hundred."""
+MOST_SWING_M = 0.2
+"""A hand that swings farther waves no better."""
 PREFIX_FRAMES = 3
 """So many frames of what was done count with a plan."""
 
@@ -58,12 +58,15 @@ class Deed:
     """How a meaning is planned for.
 
     Attributes:
-        worth: of a motion (T, 22, 3) at PLANNER_FPS, done with a side, `left` or `right`.
-        lands: where the limb of that side is sent.
+        worth: of a motion (T, 22, 3) at PLANNER_FPS, done with a side, `left` or `right`, or with either ("").
+        lands: where the limb of that side is sent; None where the words say enough.
+        tries: how often it is planned for. kept: so many of them are sampled to the end, the others half-way.
     """
 
     worth: Callable[[Array, str], float]
-    lands: Landing
+    lands: Landing | None = None
+    tries: int = 12
+    kept: int = 5
 
 
 def deed_of(meaning: str | None, request: PlanRequest) -> tuple[Deed, str] | None:
@@ -75,13 +78,15 @@ def deed_of(meaning: str | None, request: PlanRequest) -> tuple[Deed, str] | Non
         return None
     action, _, side = meaning.partition(":")
     deed = DEEDS.get(action)
-    return None if deed is None else (deed, side or SIDES[request.seed % 2])
+    if deed is None:
+        return None
+    return deed, side or ("" if deed.lands is None else SIDES[request.seed % 2])
 
 
 def tries_of(request: PlanRequest, state: RootState, deed: Deed, side: str) -> list[PlanRequest]:
     """Requests for a deed; the first has the seed of the one that was asked for."""
-    told = _sent(request, state, deed.lands, side)
-    words = np.random.SeedSequence(request.seed).generate_state(TRIES, np.uint64)
+    told = request if deed.lands is None else _sent(request, state, deed.lands, side)
+    words = np.random.SeedSequence(request.seed).generate_state(deed.tries, np.uint64)
     seeds = [request.seed, *(int(word >> np.uint64(1)) for word in words[1:])]
     return [told.model_copy(update={"seed": seed}) for seed in seeds]
 
@@ -91,7 +96,7 @@ def promising(request: PlanRequest, deed: Deed, side: str, foreseen_w_m: Sequenc
     foreseen to be half-way: of 72 blows the five best by then had one within 0.02 (mean) of the best of all twelve."""
     before = request.prefix_positions_w_m[-PREFIX_FRAMES:].astype(np.float64)
     worth = [deed.worth(np.concatenate([before, motion]), side) for motion in foreseen_w_m]
-    return [int(i) for i in np.argsort(worth)[::-1][:PROMISING]]
+    return [int(i) for i in np.argsort(worth)[::-1][: deed.kept]]
 
 
 def best_of(request: PlanRequest, deed: Deed, side: str, made: Sequence[tuple[PlanRequest, Plan]]) -> Plan:
@@ -127,6 +132,31 @@ def kicking(motion_w_m: Array, side: str) -> float:
     return float(best - max(0.0, pelvis_mps - CALM_MPS))
 
 
+def waving(motion_w_m: Array, side: str) -> float:
+    """How far a wrist swings to and fro while it is above its shoulder, m, and for what share of the motion it is."""
+    return max(_swing(motion_w_m, each) for each in ((side,) if side else SIDES))
+
+
+def wave_turns(signal: Array) -> float:
+    """The ways of a signal (T,) between its turns, each of MOST_SWING_M at most, in all."""
+    edges = np.flatnonzero(np.diff(np.sign(np.diff(signal)))) + 1
+    ways = np.abs(np.diff(signal[np.concatenate([[0], edges, [len(signal) - 1]]).astype(int)]))
+    return float(np.minimum(ways, MOST_SWING_M).sum())
+
+
+def _swing(motion_w_m: Array, side: str) -> float:
+    shoulder, wrist = CANONICAL.indices(f"{side}_shoulder", f"{side}_wrist")
+    arm = motion_w_m[:, wrist] - motion_w_m[:, shoulder]
+    up = arm[:, 2] > 0
+    if up.sum() < 2:
+        return float(arm[:, 2].max())
+    heading = hips_heading(motion_w_m)[up]
+    c, s = np.cos(heading), np.sin(heading)
+    x, y, z = arm[up].T
+    turns = max(wave_turns(axis) for axis in (x * c + y * s, y * c - x * s, z))
+    return turns + float(up.mean())
+
+
 def _other(side: str) -> str:
     return SIDES[side == "left"]
 
@@ -153,7 +183,9 @@ KICK = Deed(
 )
 """Fists land early: told to land three ticks later, few are fast enough once a body with mass performs them. Kicks are
 told by the words that those which aim at something were trained with."""
+WAVE = Deed(waving, tries=6, kept=2)
 DEEDS: dict[str, Deed] = {
+    **dict.fromkeys(("wave", "wave_both"), WAVE),
     **dict.fromkeys(("punch", "punch_at", "punch_step", "box"), PUNCH),
     **dict.fromkeys(("kick", "kick_at", "kick_any", "kick_front"), KICK),
 }

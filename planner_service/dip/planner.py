@@ -20,7 +20,7 @@ from torch import Tensor
 from planner_service.dip.aiming import AIMED_STEPS, aimed, hands_of, toes_of
 from planner_service.dip.batch import Batch
 from planner_service.dip.conditions import JOINT_SLOTS
-from planner_service.dip.deeds import PROMISING, Deed, best_of, deed_of, promising, tries_of
+from planner_service.dip.deeds import Deed, best_of, deed_of, promising, tries_of
 from planner_service.dip.diffusion import Denoiser, cosine_schedule, respaced, sample, sample_some, spread_steps
 from planner_service.dip.effort import EASIER_GUIDANCE, STANDS_MPS, eased, speed_mps, too_hard
 from planner_service.dip.feet import with_planted_feet
@@ -178,7 +178,7 @@ class DipPlanner:
         ]
         made = iter(self._tried(requests, deeds, tried))
         plans = [
-            next(made)[1] if found is None else best_of(request, *found, [next(made) for _ in range(PROMISING)])
+            next(made)[1] if found is None else best_of(request, *found, [next(made) for _ in range(found[0].kept)])
             for request, found in zip(requests, deeds, strict=True)
         ]
         return [held_seated(r, p) if low else p for r, p, low in zip(requests, plans, floor, strict=True)]
@@ -190,7 +190,7 @@ class DipPlanner:
     def _tried(
         self, requests: list[PlanRequest], deeds: list[tuple[Deed, str] | None], tried: list[list[PlanRequest]]
     ) -> list[tuple[PlanRequest, Plan]]:
-        """Each request's own plan, or the plans of its PROMISING tries; the others are given up half-way."""
+        """Each request's own plan, or the plans of its most promising tries; the others are given up half-way."""
         flat = [told for each in tried for told in each]
         if not any(deeds):
             return list(zip(flat, self._plans(flat), strict=True))

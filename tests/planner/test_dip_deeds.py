@@ -6,18 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from planner_service.dip.deeds import (
-    DEEDS,
-    KICK,
-    PROMISING,
-    PUNCH,
-    TRIES,
-    deed_of,
-    kicking,
-    promising,
-    punching,
-    tries_of,
-)
+from planner_service.dip.deeds import DEEDS, KICK, PUNCH, WAVE, deed_of, kicking, promising, punching, tries_of, waving
 from planner_service.dip.planner import DipPlanner
 from planner_service.text.known import KnownSentences
 from planner_service.training.rollout import Rollout
@@ -58,7 +47,7 @@ def test_every_deed_is_of_something_that_the_head_tells_apart_and_its_plans_are_
     known = KnownSentences.load()
     assert known.head is not None
     assert set(DEEDS) <= {name.partition(":")[0] for name in known.head.names}
-    blows = [text for action in DEEDS for text in SENTENCES[action]]
+    blows = [text for action, deed in DEEDS.items() if deed.lands is not None for text in SENTENCES[action]]
     held = [text for text in blows if holds_ticks(text) == BLOW_TICKS]
     assert len(held) > 0.85 * len(blows)  # what is taken for a trained sentence is held as that one is
     for action in (
@@ -97,8 +86,9 @@ def test_a_limb_is_sent_ahead_of_the_body_wherever_it_faces() -> None:
     turned = STANDING.positions_w_m[..., [1, 0, 2]] * [-1.0, 1.0, 1.0]  # by 90 degrees to the left
     asked = request("punch with the right hand", prefix_positions_w_m=turned)
     tries = tries_of(asked, root_state(turned[-1]), PUNCH, "right")
-    assert len({told.seed for told in tries}) == len(tries) == TRIES and tries[0].seed == asked.seed
+    assert len({told.seed for told in tries}) == len(tries) == PUNCH.tries and tries[0].seed == asked.seed
     told = tries[-1]
+    assert PUNCH.lands is not None
     assert [target.joint for target in told.targets] == ["right_wrist", "traj"]
     assert told.heading is not None
     x, y = turned[-1, 0, :2]
@@ -113,9 +103,28 @@ def test_only_the_best_of_what_is_foreseen_is_sampled_to_the_end() -> None:
     for number, motion in enumerate(motions):
         motion[8:12, ankle] += [0.4, 0.0, 0.1 * ((number * 2) % 5)]
     kept = promising(request("kick"), KICK, "left", motions)
-    assert len(kept) == PROMISING
+    assert len(kept) == KICK.kept
     worth = [kicking(motion, "left") for motion in motions]
-    assert [worth[i] for i in kept] == sorted(worth, reverse=True)[:PROMISING]
+    assert [worth[i] for i in kept] == sorted(worth, reverse=True)[: KICK.kept]
+
+
+def test_a_wave_is_planned_for_as_it_is_and_the_widest_is_the_best() -> None:
+    assert deed_of("wave:left", request("wave")) == (WAVE, "left")
+    assert deed_of("wave", request("wave")) == (WAVE, "")
+    tries = tries_of(request("wave"), root_state(STANDING.positions_w_m[-1]), WAVE, "")
+    assert len({told.seed for told in tries}) == WAVE.tries
+    assert all(not told.targets and told.heading is None for told in tries)
+
+    def wave(swing_m: float, up_m: float = 0.3) -> np.ndarray:
+        motion = np.repeat(STANDING.positions_w_m[-1:].astype(float), 20, axis=0)
+        shoulder, wrist = CANONICAL.indices("right_shoulder", "right_wrist")
+        motion[:, wrist] = motion[:, shoulder] + [0.1, 0.0, up_m]
+        motion[:, wrist, 1] += swing_m * np.sin(np.arange(20) * 2 * np.pi / 10)
+        return motion
+
+    assert waving(wave(0.08), "right") > waving(wave(0.02), "right") > waving(wave(0.08), "left")
+    assert waving(wave(0.08), "") == waving(wave(0.08), "right")
+    assert waving(wave(0.02), "right") > waving(wave(0.08, -0.3), "right")
 
 
 def test_a_fast_straight_fist_is_worth_more_than_a_slow_or_the_other_one() -> None:
