@@ -2,7 +2,8 @@
 
 The network foresees a mean over phases, and so of a punch from a stand a small one, late or never: of runs of five
 seconds without physics one of twenty showed a punch. Told where the fist should be and when, it knows the phase. Waves
-swing in some plans and hardly in others. Of several plans one is chosen by what the motion shows, as in rejection sampling (tables in docs/experiments_planner.md).
+swing in some plans and hardly in others. Of several plans one is chosen by what the motion shows, as in rejection
+sampling (tables in docs/experiments_planner.md).
 """
 
 from __future__ import annotations
