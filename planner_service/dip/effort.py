@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from shared.motion.heading import hips_heading
 from shared.protocol.messages import PLANNER_FPS, Plan, PlanRequest
+from shared.text.wording import STAND_TEXT
 
 EASED_MPS = (1.2, 2.0)
 """Speeds between which guidance fades to none."""
@@ -30,6 +32,29 @@ def eased(guidance: float, speed_mps: float) -> float:
     low, high = EASED_MPS
     share = min(max((speed_mps - low) / (high - low), 0.0), 1.0)
     return guidance if guidance <= 1.0 else guidance + share * (1.0 - guidance)
+
+
+STOPS_FIRST = ("step_back", "walk_back")
+"""Meanings that a body which goes ahead is not planned for before it stands: of a run most plans run on for seconds."""
+WALKS, RUNNING_MPS, WALKING_MPS = ("walk",), 1.9, 1.3
+"""Who is told to walk while running is told how fast, too: a run is as good a walk to a network that is shown one."""
+
+
+def slowing(request: PlanRequest, meaning: str | None) -> PlanRequest:
+    """The request, as one for standing first or for a slower way where what a text means is not done so fast."""
+    told = bool(request.targets) or request.heading is not None or len(request.keyframe_ticks) > 0
+    if told or request.desired_velocity_w_mps is not None or request.guidance is not None or meaning is None:
+        return request
+    action, speed, pelvis = meaning.partition(":")[0], speed_mps(request), request.prefix_positions_w_m[:, 0, :2]
+    way = (pelvis[-1] - pelvis[-1 - SPEED_FRAMES]).astype(np.float64)
+    if action in WALKS and speed > RUNNING_MPS:
+        x, y = (float(part) for part in way * WALKING_MPS / np.linalg.norm(way))
+        return request.model_copy(update={"desired_velocity_w_mps": (x, y)})
+    if action in STOPS_FIRST and speed > STANDS_MPS:
+        heading = float(hips_heading(request.prefix_positions_w_m[-1]))
+        if way[0] * np.cos(heading) + way[1] * np.sin(heading) > 0:
+            return request.model_copy(update={"text": STAND_TEXT})
+    return request
 
 
 EASIER_GUIDANCE = 1.5

@@ -22,7 +22,7 @@ from planner_service.dip.batch import Batch
 from planner_service.dip.conditions import JOINT_SLOTS
 from planner_service.dip.deeds import Deed, best_of, deed_of, promising, tries_of
 from planner_service.dip.diffusion import Denoiser, cosine_schedule, respaced, sample, sample_some, spread_steps
-from planner_service.dip.effort import EASIER_GUIDANCE, STANDS_MPS, eased, speed_mps, too_hard
+from planner_service.dip.effort import EASIER_GUIDANCE, STANDS_MPS, eased, slowing, speed_mps, too_hard
 from planner_service.dip.feet import with_planted_feet
 from planner_service.dip.floor import held_seated, is_floor_seat, way_down
 from planner_service.dip.folded import Conditions, Denoising, FoldedDip
@@ -169,9 +169,15 @@ class DipPlanner:
         """
         for request in requests:
             self._check(request)
-        deeds = [None if speed_mps(request) > STANDS_MPS else self._deed(request) for request in requests]
+        meant = [self._meaning(request) for request in requests]
+        deeds = [
+            None if speed_mps(r) > STANDS_MPS else deed_of(meaning, r)
+            for r, meaning in zip(requests, meant, strict=True)
+        ]
         floor = [is_floor_seat(request) for request in requests]
-        requests = [way_down(r) if low else r for r, low in zip(requests, floor, strict=True)]
+        requests = [
+            way_down(r) if low else slowing(r, meaning) for r, low, meaning in zip(requests, floor, meant, strict=True)
+        ]
         tried = [
             [request] if found is None else tries_of(request, root_state(request.prefix_positions_w_m[-1]), *found)
             for request, found in zip(requests, deeds, strict=True)
@@ -183,9 +189,9 @@ class DipPlanner:
         ]
         return [held_seated(r, p) if low else p for r, p, low in zip(requests, plans, floor, strict=True)]
 
-    def _deed(self, request: PlanRequest) -> tuple[Deed, str] | None:
+    def _meaning(self, request: PlanRequest) -> str | None:
         read = self._read(request.text)
-        return None if read is None else deed_of(read.meaning, request)
+        return None if read is None else read.meaning
 
     def _tried(
         self, requests: list[PlanRequest], deeds: list[tuple[Deed, str] | None], tried: list[list[PlanRequest]]
