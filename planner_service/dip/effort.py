@@ -34,7 +34,7 @@ def eased(guidance: float, speed_mps: float) -> float:
     return guidance if guidance <= 1.0 else guidance + share * (1.0 - guidance)
 
 
-STOPS_FIRST = ("step_back", "walk_back")
+STOPS_FIRST = ("step_back", "walk_back", "step_side")
 """Meanings that a body which goes ahead is not planned for before it stands: of a run most plans run on for seconds."""
 WALKS, RUNNING_MPS, WALKING_MPS = ("walk",), 1.9, 1.3
 """Who is told to walk while running is told how fast, too: a run is as good a walk to a network that is shown one."""

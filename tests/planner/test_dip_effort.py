@@ -33,6 +33,7 @@ def request(speed_mps: float, **more: object) -> PlanRequest:
     [
         ("step_back", 2.5, True),
         ("walk_back", 1.2, True),
+        ("step_side:left", 1.2, True),
         ("step_back", 0.3, False),
         ("walk_back", -1.0, False),
         ("jump", 2.5, False),
