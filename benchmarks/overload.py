@@ -5,8 +5,8 @@
 `--rate` commands a second, another sentence each time, go to realtime characters from ten addresses, over more
 connections than requests are handled at once (503). An eleventh address asks as often for characters beyond those that
 may run (429). A connection asks again when it has its answer, so that fewer are sent where answers take long. The
-memory of the services is noted every ten seconds; ticks are asked of the tracker itself. Planner and tracker are the
-trained ones unless others are named.
+memory of the services is noted every ten seconds; ticks are asked of the tracker itself, also for `--calm` minutes
+before the flood. Planner and tracker are the trained ones unless others are named.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from orchestrator.core.supervise import Stack, StackOptions
 from shared.protocol.messages import Observe, StateFrame
 from shared.protocol.rates import TICK_HZ
 from shared.protocol.transport import ServiceClient
+from tests.chaos.processor import Waits, most_waited_s, waits
 
 TEXTS = ("a person is walking.", "a person is standing still.", "a person waves with the right hand.", "turn left.")
 CALLERS, CONNECTIONS = 10, 32
@@ -78,21 +79,20 @@ class Watch:
         self._tracker, self._characters = tracker, characters
         self._processes = {each.name: psutil.Process(each.pid) for each in stack.processes()}
         self._began_s = time.monotonic()
-        self._spent_s = self._cpu_s()
         self.rss: dict[str, list[tuple[float, float]]] = {name: [] for name in self._processes}
 
     def states(self) -> list[StateFrame]:
         """Of the characters, by the tracker."""
         return [self._tracker.ask(Observe(), StateFrame, each, timeout_s=60.0) for each in self._characters]
 
-    def cores(self) -> dict[str, float]:
-        """How many each process, and this one, has had on average since the beginning."""
-        took_s = time.monotonic() - self._began_s
-        return {name: round((s - self._spent_s[name]) / took_s, 2) for name, s in self._cpu_s().items()}
-
-    def _cpu_s(self) -> dict[str, float]:
+    def cpu_s(self) -> dict[str, float]:
+        """What each process, and this one, has had of the processors."""
         spent = {name: each.cpu_times() for name, each in {**self._processes, "callers": psutil.Process()}.items()}
         return {name: each.user + each.system for name, each in spent.items()}
+
+    def waits(self) -> Waits:
+        """How long each thread of the tracker was ready to run and was not let."""
+        return waits([self._processes["tracker"].pid])
 
     def note(self) -> None:
         """The memory now."""
@@ -101,8 +101,10 @@ class Watch:
             self.rss[name].append((round(at_s, 1), round(process.memory_info().rss / MEGABYTE, 1)))
 
 
-async def overload(stack: Stack, characters: int, rate: float, seconds: float, seed: int) -> dict[str, Any]:
-    """Make characters, flood, and look on."""
+async def overload(
+    stack: Stack, characters: int, rate: float, calm_s: float, seconds: float, seed: int
+) -> dict[str, Any]:
+    """Make characters, look on without a flood, and under one."""
     with httpx.Client(base_url=stack.url, timeout=60.0) as http:
         made = [http.post("/v1/characters", json={"pacing": "realtime", "seed": seed + i}) for i in range(characters)]
         ids = [str(each.raise_for_status().json()["id"]) for each in made]
@@ -112,41 +114,52 @@ async def overload(stack: Stack, characters: int, rate: float, seconds: float, s
     told, asked_more = Told(), Told()
     with ServiceClient(stack.tracker.address, "tracker") as tracker:
         watch = Watch(stack, tracker, ids)
-        first, began_s = await asyncio.to_thread(watch.states), time.monotonic()
+        before = await stretch(watch, calm_s)
         every = CONNECTIONS, rate / CALLERS
         floods = [flood(stack.url, f"127.0.0.{2 + i}", *every, commands.__next__, told) for i in range(CALLERS)]
         floods.append(flood(stack.url, "127.0.0.1", *every, one_more.__next__, asked_more))
         tasks = [asyncio.ensure_future(each) for each in floods]
-        while (left_s := seconds - (time.monotonic() - began_s)) > 0:
-            watch.note()
-            await asyncio.sleep(min(SAMPLE_S, left_s))
-            console.print(f"{time.monotonic() - began_s:.0f} s", dict(told.statuses), dict(asked_more.statuses))
-        watch.note()
-        last, took_s = await asyncio.to_thread(watch.states), time.monotonic() - began_s
+        under = await stretch(watch, seconds)
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
     with httpx.Client(base_url=stack.url, timeout=60.0) as http:
-        calm_s = _calm_after_s(http)
+        again_s = _calm_after_s(http)
         services = http.get("/v1/services").json()
-    ticks = sum(b.tick - a.tick for a, b in zip(first, last, strict=True))
-    missed = sum(b.missed_ticks - a.missed_ticks for a, b in zip(first, last, strict=True))
     return {
         "characters": characters,
-        "seconds": round(took_s, 1),
         "asked_per_s": rate,
-        "commands": _figures(told, took_s),
-        "more_characters": _figures(asked_more, took_s),
-        "cores": watch.cores(),
+        "commands": _figures(told, under["seconds"]),
+        "more_characters": _figures(asked_more, under["seconds"]),
+        "before": before,
+        "under": under,
         "memory": {name: memory(samples) for name, samples in watch.rss.items()},
-        "ticks": ticks,
-        "realtime_factor": round(ticks / characters / TICK_HZ / took_s, 4),
-        "missed_ticks": missed,
-        "missed_share": round(missed / max(ticks, 1), 5),
-        "ready_after_s": calm_s,
+        "ready_after_s": again_s,
         "planner": services["planner"]["plugin"],
         "tracker": services["tracker"]["plugin"],
         "samples": watch.rss,
+    }
+
+
+async def stretch(watch: Watch, seconds: float) -> dict[str, Any]:
+    """Look on for so long: clocks, cores, and how long the tracker's thread that waited most for a processor did."""
+    first, spent, waited = await asyncio.to_thread(watch.states), watch.cpu_s(), watch.waits()
+    began_s = time.monotonic()
+    while (left_s := seconds - (time.monotonic() - began_s)) > 0:
+        watch.note()
+        await asyncio.sleep(min(SAMPLE_S, left_s))
+    watch.note()
+    last, took_s = await asyncio.to_thread(watch.states), time.monotonic() - began_s
+    ticks = sum(b.tick - a.tick for a, b in zip(first, last, strict=True))
+    missed = sum(b.missed_ticks - a.missed_ticks for a, b in zip(first, last, strict=True))
+    return {
+        "seconds": round(took_s, 1),
+        "ticks": ticks,
+        "realtime_factor": round(ticks / len(first) / TICK_HZ / took_s, 4),
+        "missed_ticks": missed,
+        "missed_share": round(missed / max(ticks, 1), 5),
+        "cores": {name: round((s - spent[name]) / took_s, 2) for name, s in watch.cpu_s().items()},
+        "tracker_without_a_processor": round(most_waited_s(waited, watch.waits()) / took_s, 3),
     }
 
 
@@ -177,7 +190,7 @@ def sound(result: dict[str, Any]) -> bool:
         answers <= {"202", *map(str, REFUSED)}
         and bool(answers & set(map(str, REFUSED)))
         and not any(side["refused_without_a_time"] or side["broken"] for side in sides)
-        and result["missed_share"] < MISSED_SHARE
+        and result["under"]["missed_share"] < MISSED_SHARE
         and all(each["growth_mb"] < GROWTH_MB for each in result["memory"].values())
     )
 
@@ -186,6 +199,7 @@ def main() -> int:
     """Exit code 1 when an answer was neither taken nor a refusal with a time, ticks were missed, or memory grew."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--minutes", type=float, default=30.0)
+    parser.add_argument("--calm", type=float, default=1.0, help="minutes before the flood, to compare with")
     parser.add_argument("--rate", type=float, default=5000.0, help="commands a second, of ten callers together")
     parser.add_argument("--characters", type=int, default=2)
     parser.add_argument("--seed", type=int, default=1)
@@ -200,7 +214,9 @@ def main() -> int:
             orchestrator_args=("--max-running", str(given.characters)),
         )  # fmt: skip
         with Stack(options, console.print) as stack:
-            result = asyncio.run(overload(stack, given.characters, given.rate, given.minutes * 60, given.seed))
+            result = asyncio.run(
+                overload(stack, given.characters, given.rate, given.calm * 60, given.minutes * 60, given.seed)
+            )
         stored = sum(path.stat().st_size for path in data.rglob("*") if path.is_file())
     command = " ".join(["python", "-m", "benchmarks.overload", *sys.argv[1:]])
     whole = {**result, "stored_mb": round(stored / MEGABYTE, 1), "sound": sound(result)}
