@@ -17,10 +17,10 @@ export MKL_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test test-page chaos check docs format bench eval-tasks eval-results eval-text eval-tracker eval-planner clean
+.PHONY: help setup demo serve test test-page chaos compose-check overload check docs format bench eval-tasks eval-results eval-text eval-tracker eval-planner clean
 
 help: ## list the targets
-	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
 
 setup: $(STAMP) $(THREE) ## make .venv with everything (quick when nothing changed)
 
@@ -56,6 +56,15 @@ test-page: setup ## drive the live page in headless Chromium against the three s
 chaos: setup ## 200 faults over running episodes (about half an hour); FAULTS sets how many; leaves out/chaos.json and out/kills.json
 	$(BIN)/python -m tests.chaos.run --faults $(FAULTS) --seed $(SEED) --json $(OUT)/chaos.json $(ARGS)
 	$(BIN)/python -m tests.chaos.kills --seed $(SEED) --json $(OUT)/kills.json
+
+# ENGINE=podman where podman-compose stands in for docker compose.
+ENGINE ?= docker
+
+compose-check: setup ## the built containers from nothing: health, demo, kill -9 of each, the end; leaves out/compose.json
+	$(BIN)/python -m benchmarks.compose_check --engine $(ENGINE) --json $(OUT)/compose.json $(ARGS)
+
+overload: setup ## half an hour of more commands than can be taken; leaves out/overload.json
+	$(BIN)/python -m benchmarks.overload --json $(OUT)/overload.json $(ARGS)
 
 check: setup ## ruff, mypy --strict, import-linter
 	$(BIN)/ruff check .
