@@ -17,7 +17,7 @@ from tracker_service.policy.observations import FEEDFORWARD_LIMIT_RAD
 from tracker_service.training.seats import BACK_SIZE_M, EDGE_M, SEAT_SIZE_M, SOFA_SIZE_M
 from tracker_service.training.world.body import Bodies, State, heading_frame, into, small_matmul
 
-STILL_MPS = 0.1
+STILL_MPS = 0.25
 
 
 @dataclass(frozen=True)
@@ -108,9 +108,9 @@ def still_tracked(distance: Tensor, stop_mean_m: float, stop_max_m: float, slack
 
 def trembling(before: Bodies, after: Bodies, wanted_mps: Tensor) -> Tensor:
     """(B,) mean squared acceleration of the joints ((m/s^2)^2) from one tick to the next, as far as a reference with
-    joint velocities (B, J, 3) stands still."""
+    joint velocities (B, J, 3) stands still with all of them: a fist that sets out is not to be held back."""
     acceleration = (after.linvel_w_mps - before.linvel_w_mps) * TICK_HZ
-    still = torch.exp(-((wanted_mps.norm(dim=-1).mean(-1) / STILL_MPS) ** 2))
+    still = torch.exp(-((wanted_mps.norm(dim=-1).amax(-1) / STILL_MPS) ** 2))
     return still * (acceleration**2).sum(-1).mean(-1)
 
 
