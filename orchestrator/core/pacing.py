@@ -10,6 +10,9 @@ from shared.protocol.rates import PLANNER_FPS, TICK_HZ
 
 EARLY_PLANS = 2
 EARLY_WITHIN_TICKS = 4 * TICK_HZ
+LONGEST_WAIT_TICKS = 2 * TICK_HZ
+"""A way up from the floor is performed for longer than anyone waits for another plan, and than a tracker takes plans
+ahead of time."""
 
 
 @dataclass(frozen=True)
@@ -71,4 +74,4 @@ class PlanPacer:
 
     def _gap(self, last: _Entered, soonest: int) -> int:
         spent = len(self._early) == EARLY_PLANS and soonest - self._early[0] < EARLY_WITHIN_TICKS
-        return last.period_ticks if spent else min(self._least_ticks, last.period_ticks)
+        return min(last.period_ticks, LONGEST_WAIT_TICKS) if spent else min(self._least_ticks, last.period_ticks)

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from shared.motion.heading import hips_heading
 from shared.protocol.messages import PLANNER_FPS, Plan, PlanRequest
+from shared.tasks.obey import asks_floor_seat
 from shared.text.wording import STAND_TEXT
 
 EASED_MPS = (1.2, 2.0)
@@ -50,7 +51,7 @@ def slowing(request: PlanRequest, meaning: str | None) -> PlanRequest:
     if action in WALKS and speed > RUNNING_MPS:
         x, y = (float(part) for part in way * WALKING_MPS / np.linalg.norm(way))
         return request.model_copy(update={"desired_velocity_w_mps": (x, y)})
-    if action in STOPS_FIRST and speed > STANDS_MPS:
+    if (action in STOPS_FIRST or asks_floor_seat(request.text)) and speed > STANDS_MPS:
         heading = float(hips_heading(request.prefix_positions_w_m[-1]))
         if way[0] * np.cos(heading) + way[1] * np.sin(heading) > 0:
             return request.model_copy(update={"text": STAND_TEXT})

@@ -174,10 +174,9 @@ class DipPlanner:
             None if speed_mps(r) > STANDS_MPS else deed_of(meaning, r)
             for r, meaning in zip(requests, meant, strict=True)
         ]
+        requests = [slowing(request, meaning) for request, meaning in zip(requests, meant, strict=True)]
         floor = [is_floor_seat(request) for request in requests]
-        requests = [
-            way_down(r) if low else slowing(r, meaning) for r, low, meaning in zip(requests, floor, meant, strict=True)
-        ]
+        requests = [way_down(r) if low else r for r, low in zip(requests, floor, strict=True)]
         tried = [
             [request] if found is None else tries_of(request, root_state(request.prefix_positions_w_m[-1]), *found)
             for request, found in zip(requests, deeds, strict=True)

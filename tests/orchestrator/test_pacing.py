@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator.core.pacing import EARLY_PLANS, EARLY_WITHIN_TICKS, PlanPacer
+from orchestrator.core.pacing import EARLY_PLANS, EARLY_WITHIN_TICKS, LONGEST_WAIT_TICKS, PlanPacer
 
 LEAD, LEAST = 12, 9
 
@@ -23,6 +23,13 @@ def test_by_hand() -> None:
     assert pacer.start_tick(15 + EARLY_WITHIN_TICKS, LEAD) == 27 + EARLY_WITHIN_TICKS
     pacer.clear()
     assert pacer.start_tick(20, LEAD) == 33
+
+
+def test_no_one_waits_for_a_long_plan_to_end() -> None:
+    pacer = PlanPacer(9)
+    for start in (0, 12, 24, 36):
+        pacer.entered(start, 200)
+    assert pacer.start_tick(48, 0) == 36 + LONGEST_WAIT_TICKS
 
 
 @given(

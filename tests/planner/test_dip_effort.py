@@ -45,6 +45,12 @@ def test_who_goes_ahead_stands_before_going_back(meaning: str | None, speed_mps:
     assert slowing(asked, meaning).text == (STAND_TEXT if stops else asked.text)
 
 
+def test_who_goes_stands_before_sitting_down_on_the_floor() -> None:
+    assert slowing(request(1.3, text="sit down on the floor"), "sit_down").text == STAND_TEXT
+    assert slowing(request(0.2, text="sit down on the floor"), "sit_down").text == "sit down on the floor"
+    assert slowing(request(1.3, text="sit down"), "sit_down").text == "sit down"
+
+
 def test_who_runs_is_told_how_fast_one_walks() -> None:
     told = slowing(request(3.0), "walk").desired_velocity_w_mps
     assert told is not None
