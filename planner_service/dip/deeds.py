@@ -15,11 +15,11 @@ from math import cos, sin
 import numpy as np
 import numpy.typing as npt
 
+from planner_service.dip.effort import words_alone
 from shared.motion.features import RootState
-from shared.motion.heading import hips_heading
 from shared.motion.skeleton import CANONICAL
 from shared.protocol.messages import PLANNER_FPS, HeadingTarget, JointTarget, Plan, PlanRequest
-from shared.tasks.kinds import SIDES, ahead_m, ahead_mps, arm_reach
+from shared.tasks.kinds import SIDES, ahead_m, ahead_mps, arm_reach, wrist_seen_m
 
 Array = npt.NDArray[np.float64]
 
@@ -73,9 +73,7 @@ class Deed:
 def deed_of(meaning: str | None, request: PlanRequest) -> tuple[Deed, str] | None:
     """The deed that a meaning (`ACTION` or `ACTION:SIDE`) is, and its side, drawn by the seed where it has none; None
     for all else, and for requests that say themselves where to be."""
-    if meaning is None or request.targets or request.heading is not None or len(request.keyframe_ticks):
-        return None
-    if request.desired_velocity_w_mps is not None or request.guidance == 0.0:
+    if meaning is None or not words_alone(request):
         return None
     action, _, side = meaning.partition(":")
     deed = DEEDS.get(action)
@@ -138,7 +136,7 @@ def waving(motion_w_m: Array, side: str) -> float:
     return max(_swing(motion_w_m, each) for each in ((side,) if side else SIDES))
 
 
-def wave_turns(signal: Array) -> float:
+def _turns(signal: Array) -> float:
     """The ways of a signal (T,) between its turns, each of MOST_SWING_M at most, in all."""
     edges = np.flatnonzero(np.diff(np.sign(np.diff(signal)))) + 1
     ways = np.abs(np.diff(signal[np.concatenate([[0], edges, [len(signal) - 1]]).astype(int)]))
@@ -146,16 +144,11 @@ def wave_turns(signal: Array) -> float:
 
 
 def _swing(motion_w_m: Array, side: str) -> float:
-    shoulder, wrist = CANONICAL.indices(f"{side}_shoulder", f"{side}_wrist")
-    arm = motion_w_m[:, wrist] - motion_w_m[:, shoulder]
-    up = arm[:, 2] > 0
+    seen = wrist_seen_m(motion_w_m, side)
+    up = seen[:, 2] > 0
     if up.sum() < 2:
-        return float(arm[:, 2].max())
-    heading = hips_heading(motion_w_m)[up]
-    c, s = np.cos(heading), np.sin(heading)
-    x, y, z = arm[up].T
-    turns = max(wave_turns(axis) for axis in (x * c + y * s, y * c - x * s, z))
-    return turns + float(up.mean())
+        return float(seen[:, 2].max())
+    return max(_turns(axis) for axis in seen[up].T) + float(up.mean())
 
 
 def _other(side: str) -> str:

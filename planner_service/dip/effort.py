@@ -17,6 +17,12 @@ STANDS_MPS = 0.6
 SPEED_FRAMES = 4
 
 
+def words_alone(request: PlanRequest) -> bool:
+    """Whether nothing but its text says what a request asks for, and the text counts."""
+    told = request.targets or request.heading is not None or len(request.keyframe_ticks) > 0
+    return not told and request.desired_velocity_w_mps is None and request.guidance != 0.0
+
+
 def speed_mps(request: PlanRequest) -> float:
     """How fast the pelvis goes over the floor at the end of a request's prefix."""
     root = request.prefix_positions_w_m[-SPEED_FRAMES - 1 :, 0, :2].astype(np.float64)
@@ -43,8 +49,7 @@ WALKS, RUNNING_MPS, WALKING_MPS = ("walk",), 1.9, 1.3
 
 def slowing(request: PlanRequest, meaning: str | None) -> PlanRequest:
     """The request, as one for standing first or for a slower way where what a text means is not done so fast."""
-    told = bool(request.targets) or request.heading is not None or len(request.keyframe_ticks) > 0
-    if told or request.desired_velocity_w_mps is not None or request.guidance is not None or meaning is None:
+    if not words_alone(request) or request.guidance is not None or meaning is None:
         return request
     action, speed, pelvis = meaning.partition(":")[0], speed_mps(request), request.prefix_positions_w_m[:, 0, :2]
     way = (pelvis[-1] - pelvis[-1 - SPEED_FRAMES]).astype(np.float64)

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from planner_service.dip.effort import words_alone
 from shared.motion.heading import hips_heading
 from shared.motion.ik import clip_from_positions
 from shared.motion.skeleton import CANONICAL
@@ -33,8 +34,7 @@ UPPER = [i for i, name in enumerate(CANONICAL.names) if not name.endswith(_LEGS)
 
 def is_floor_seat(request: PlanRequest) -> bool:
     """Whether a request asks by its words alone for sitting on the floor."""
-    told = bool(request.targets) or len(request.keyframe_ticks) > 0 or request.guidance == 0.0
-    return not told and asks_floor_seat(request.text)
+    return words_alone(request) and asks_floor_seat(request.text)
 
 
 def way_down(request: PlanRequest) -> PlanRequest:

@@ -218,7 +218,10 @@ class DipPlanner:
     def _batch(self, requests: list[PlanRequest]) -> Batch:
         """All that sampling needs of some requests."""
         began = time.monotonic()
-        prefixes = [global_to_features(r.prefix_positions_w_m.astype(np.float64), PLANNER_FPS) for r in requests]
+        # All tries of a deed go on from one prefix.
+        shown = {id(r.prefix_positions_w_m): r.prefix_positions_w_m for r in requests}
+        known = {key: global_to_features(p.astype(np.float64), PLANNER_FPS) for key, p in shown.items()}
+        prefixes = [known[id(r.prefix_positions_w_m)] for r in requests]
         states = [root_state(request.prefix_positions_w_m[-1]) for request in requests]
         wishes = read_wishes(requests, states, self._config, self._settings.step_m)
         encoded = time.monotonic()

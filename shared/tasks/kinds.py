@@ -158,11 +158,8 @@ def _turn(p: Array, side: str) -> Judgement:
 def _wave(p: Array, side: str) -> Judgement:
     """While the wrist is above its shoulder it turns round three times, each way at least 12 cm along one axis of the
     body."""
-    arm = p[:, CANONICAL.index(f"{side}_wrist")] - p[:, CANONICAL.index(f"{side}_shoulder")]
-    heading = hips_heading(p)
-    c, s = np.cos(heading), np.sin(heading)
-    seen = np.stack([arm[:, 0] * c + arm[:, 1] * s, arm[:, 1] * c - arm[:, 0] * s, arm[:, 2]], axis=-1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], arm[:, 2] > 0, [False]]).astype(np.int8)))
+    seen = wrist_seen_m(p, side)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], seen[:, 2] > 0, [False]]).astype(np.int8)))
     stretches = [seen[start:stop] for start, stop in zip(edges[::2], edges[1::2], strict=True)]
     count = max((reversals(axis, WAVE_SWING_M) for stretch in stretches for axis in stretch.T), default=0)
     return Judgement(count >= WAVE_REVERSALS, {"reversals": float(count)})
@@ -219,6 +216,14 @@ def ahead_m(pos_w_m: Array, joint: str) -> Array:
     heading = hips_heading(pos_w_m)
     away = pos_w_m[:, CANONICAL.index(joint), :2] - pos_w_m[:, 0, :2]
     return np.asarray(away[:, 0] * np.cos(heading) + away[:, 1] * np.sin(heading))
+
+
+def wrist_seen_m(pos_w_m: Array, side: str) -> Array:
+    """(T, 3) a wrist seen from its shoulder: ahead, to the left and up, as the hips face."""
+    arm = pos_w_m[:, CANONICAL.index(f"{side}_wrist")] - pos_w_m[:, CANONICAL.index(f"{side}_shoulder")]
+    heading = hips_heading(pos_w_m)
+    c, s = np.cos(heading), np.sin(heading)
+    return np.stack([arm[:, 0] * c + arm[:, 1] * s, arm[:, 1] * c - arm[:, 0] * s, arm[:, 2]], axis=-1)
 
 
 def arm_reach(pos_w_m: Array, side: str) -> Array:
