@@ -30,6 +30,7 @@ from orchestrator.evaluation.text import TextPlan, evaluate_text
 from shared.errors import InvalidInputError
 
 evaluate = typer.Typer(no_args_is_help=True, help="Measure how well it works.")
+MOST_CHARACTERS = 32
 bench = typer.Typer(no_args_is_help=True, help="Measure how fast it is.")
 
 Planner = Annotated[str | None, typer.Option(help="planner plug-in")]
@@ -243,8 +244,14 @@ def eval_planner(context: typer.Context) -> None:
 
 @bench.command("loop")
 def bench_loop(
-    characters: Annotated[int, typer.Option(min=1, max=32)] = 1,
+    characters: Annotated[int, typer.Option(min=1, max=MOST_CHARACTERS)] = 1,
+    max_characters: Annotated[
+        bool, typer.Option("--max-characters", help="find how many can be had: hardly a tick missed, no plan late")
+    ] = False,
     seconds: Annotated[float, typer.Option(min=1.0)] = 60.0,
+    kinds: Annotated[
+        KindsOption | None, typer.Option(help="commands of `eval text`, in place of walking, standing and waving")
+    ] = None,
     seed: int = 1,
     threads: Threads = 1,
     planner: Planner = None,
@@ -253,12 +260,19 @@ def bench_loop(
 ) -> None:
     """Realtime: missed ticks, late plans, how soon a command shows."""
     with console.status("running ...") as status:
-        result = with_services(
-            lambda services, stack: benches.bench_loop(
-                services, characters, seconds, seed, planner, tracker, lambda line: status.update(line)
-            ),
-            planner, tracker, threads,
-        )  # fmt: skip
+
+        def say(line: str) -> None:
+            status.update(line)
+
+        async def measured(services: Services, stack: Stack) -> dict[str, Any]:
+            def of(count: int) -> Awaitable[dict[str, Any]]:
+                return benches.bench_loop(services, count, seconds, seed, planner, tracker, say, kinds)
+
+            return await (
+                benches.most_characters(of, MOST_CHARACTERS, console.print) if max_characters else of(characters)
+            )
+
+        result = with_services(measured, planner, tracker, threads)
     write_json(json, {**result, **provenance(seed)})
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from orchestrator.core.keepsake import Pace
-from orchestrator.core.lead import PlanLead
+from orchestrator.core.lead import Effort, PlanLead, effort_of
 from orchestrator.core.loop import CharacterLoop, GoalSource, PlanTiming, timing_of, view_of
 from orchestrator.core.pacing import PlanPacer
 from shared.errors import MotionLoopError, SimulationError, TransportError
@@ -196,12 +196,14 @@ class LockstepDriver(_Paced):
 
 @dataclass
 class _Request:
-    """A plan under way."""
+    """A plan under way: of how much work, and whether for a new command or as one goes on."""
 
     task: asyncio.Task[Plan]
     start_tick: int
     period_ticks: int
     goal: PlanGoal
+    effort: Effort
+    commanded: bool
     began_s: float = field(default_factory=time.perf_counter)
 
 
@@ -210,7 +212,8 @@ class RealtimeDriver(_Paced):
 
     A cycle is one look at the character (`poll_s`, sooner when a plan comes): it never waits for the planner. One plan
     is under way at a time. A command that comes meanwhile lets it land and is planned for right after it, so that
-    commands which come faster than plans are made steer and do not starve; of several, the newest is planned for.
+    commands which come faster than plans are made steer and do not starve; of several, the newest is planned for. A
+    plan that only goes on with what was asked for before is not performed any more once a command has come.
     """
 
     by_clock = True
@@ -223,6 +226,15 @@ class RealtimeDriver(_Paced):
         self._retry_at_s = 0.0
         self._lead = PlanLead(loop.settings.plan_lead_ticks)
         self._trouble: str | None = None
+        self._commanded = False
+        self._woken: asyncio.Future[None] | None = None
+
+    def replan_now(self) -> None:
+        """Plan at once, or when the plan under way has landed."""
+        super().replan_now()
+        self._commanded = True
+        if self._woken is not None and not self._woken.done():
+            self._woken.set_result(None)
 
     async def go_on(self, state: StateFrame, pace: Pace, seen_tick: int) -> None:
         """The plan under way was made for a body that is somewhere else now: another is asked for at once."""
@@ -253,29 +265,34 @@ class RealtimeDriver(_Paced):
             landed, self._request = self._request, None  # first of all: one that raises must not be met again
             plans.extend(await self._collect(landed))
         tick = self._state.tick
-        due = tick >= self._next_plan_tick and not self._state.paused
-        if self._request is None and due and time.monotonic() >= self._retry_at_s:
+        if self._may_launch() and tick >= self._next_plan_tick:
             self._launch(source, tick)
         self._seen = max(self._seen, tick)
         return Cycle(self._state, trace, tuple(plans), self._trouble)
 
+    def _may_launch(self) -> bool:
+        return self._request is None and not self._state.paused and time.monotonic() >= self._retry_at_s
+
     async def _until_look(self) -> None:
         """Looks are due at a fixed rate, since what a look takes must not slow what viewers are shown; a plan that
-        lands is taken up at once."""
+        lands and a command are taken up at once."""
         now = time.monotonic()
         due_at_s = max(self._look_at_s + self._poll_s, now)
-        under_way = () if self._request is None else (self._request.task,)
-        if not under_way:
-            await asyncio.sleep(due_at_s - now)
-        else:
-            await asyncio.wait(under_way, timeout=due_at_s - now)
+        if not (self._commanded and self._may_launch()):
+            self._woken = asyncio.get_running_loop().create_future()
+            wakes = (self._woken if self._request is None else self._request.task,)
+            await asyncio.wait(wakes, timeout=due_at_s - now)
         self._look_at_s = min(due_at_s, max(time.monotonic(), self._look_at_s))
 
     def _launch(self, source: GoalSource, tick: int) -> None:
-        start_tick = self._pacer.start_tick(tick, self._lead.ticks, self._loop.planner_spec().fps)
+        fps = self._loop.planner_spec().fps
+        start_tick = self._pacer.start_tick(tick, self._lead.ticks(), fps)
         goal = source(view_of(self._state), start_tick)
+        if (effort := effort_of(goal)) != "once":  # and so without a place to be at by then
+            start_tick = self._pacer.start_tick(tick, self._lead.ticks(effort), fps)
         task = asyncio.create_task(self._loop.make_plan(goal, tick, start_tick))
-        self._request = _Request(task, start_tick, self._loop.period_ticks(goal), goal)
+        self._request = _Request(task, start_tick, self._loop.period_ticks(goal), goal, effort, self._commanded)
+        self._commanded = False
         self._next_plan_tick = tick + self._request.period_ticks
 
     async def _collect(self, request: _Request) -> list[PlanTiming]:
@@ -296,12 +313,14 @@ class RealtimeDriver(_Paced):
             return []
         self._trouble = None
         self._bad.clear()
+        if self._commanded and not request.commanded and self._loop.has_plan:
+            return []
         took_s = time.perf_counter() - request.began_s
-        self._lead.took(took_s)
         reply = await self._loop.track(plan)
+        self._lead.took(time.perf_counter() - request.began_s, request.effort)
         if reply.accepted:
             period = self._loop.period_ticks(request.goal, plan)
-            self._pacer.entered(plan.start_tick, period)
+            self._pacer.entered(plan.start_tick, period, goes_on=not request.commanded)
             if self._next_plan_tick > self._state.tick:  # no command came meanwhile
                 self._next_plan_tick += period - request.period_ticks
         else:

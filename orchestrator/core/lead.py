@@ -3,23 +3,37 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from math import ceil
+from typing import Literal
 
 import numpy as np
 
 from shared.protocol.rates import TICK_HZ
+from shared.tasks.interface import PlanGoal
+from shared.tasks.obey import is_blow, kind_of
 
 MOST_TICKS = 75
 """A tracker takes no plan that starts more than three seconds ahead."""
-_REMEMBERED = 5
+FIRST_TICKS = 9
+"""Before anything is known of how long plans take."""
+SPARE, SPARE_S = 1.2, 0.02
+"""So many times as long as that, and so much longer, is waited for."""
+HUNG = 3.0
+"""A plan that took so many times as long as is usual is no measure."""
+Effort = Literal["once", "wave", "blow"]
+COSTS: dict[Effort, float] = {"once": 1.0, "wave": 1.8, "blow": 3.0}
+"""Waves and blows are planned for several times (`planner_service.dip.deeds`): how much longer that takes, where it is
+not known yet."""
+_REMEMBERED = 20
 
 
 class PlanLead:
     """As far as the settings say, and farther where plans take longer than that.
 
-    A plan that comes too late is dropped by the tracker. Where the planner is slow, every one would be, and the
-    character would never move; so what most of the last plans took is waited for (their upper quartile: one that hung
-    is no measure).
+    A plan that comes too late is joined in late, or dropped by the tracker; where the planner is slow, every one would
+    be, and the character would never move. So what the longest of the last plans of like effort took is waited for,
+    and a little longer.
 
     Args:
         least_ticks: the settings' lead.
@@ -27,15 +41,36 @@ class PlanLead:
 
     def __init__(self, least_ticks: int):
         self._least_ticks = least_ticks
-        self._took_s: deque[float] = deque(maxlen=_REMEMBERED)
+        self._took_s: dict[Effort, deque[float]] = {}
+        self._cold: set[Effort] = set()
 
-    def took(self, seconds: float) -> None:
-        """A plan was made; `seconds` from its request until it was there."""
-        self._took_s.append(seconds)
+    def took(self, seconds: float, effort: Effort = "once") -> None:
+        """A plan was made; `seconds` from its request until the tracker had it. The first of an effort, for which the
+        planner may have had to warm up, counts only until the second."""
+        if effort not in self._took_s:
+            self._cold.add(effort)
+            self._took_s[effort] = deque(maxlen=_REMEMBERED)
+        elif effort in self._cold:
+            self._cold.remove(effort)
+            self._took_s[effort].clear()
+        self._took_s[effort].append(seconds)
 
-    @property
-    def ticks(self) -> int:
+    def ticks(self, effort: Effort = "once") -> int:
         """For the next plan."""
-        if not self._took_s:
-            return self._least_ticks
-        return max(self._least_ticks, min(ceil(float(np.percentile(self._took_s, 75)) * TICK_HZ), MOST_TICKS))
+        known = effort if effort in self._took_s else next(iter(self._took_s), None)
+        if known is None:
+            return max(self._least_ticks, FIRST_TICKS)
+        wanted_s = _longest(self._took_s[known]) * COSTS[effort] / COSTS[known]
+        return max(self._least_ticks, min(ceil((SPARE * wanted_s + SPARE_S) * TICK_HZ), MOST_TICKS))
+
+
+def effort_of(goal: PlanGoal) -> Effort:
+    """How much work a plan for a goal is."""
+    if is_blow(goal.text, goal.targets):
+        return "blow"
+    return "wave" if goal.text is not None and not goal.targets and kind_of(goal.text) == "wave" else "once"
+
+
+def _longest(took_s: Iterable[float]) -> float:
+    every = np.array([*took_s])
+    return float(every[every <= HUNG * np.median(every)].max())

@@ -17,19 +17,22 @@ ahead of time."""
 
 @dataclass(frozen=True)
 class _Entered:
-    """A plan in force: where it entered, and for how many ticks it is meant to run."""
+    """A plan in force: where it entered, for how many ticks it is meant to run, and whether it only goes on with what
+    was done before it."""
 
     start_tick: int
     period_ticks: int
+    goes_on: bool = False
 
 
 class PlanPacer:
     """Start ticks of plans that may be asked for faster than a body can follow.
 
     A walking body falls when its motion is begun anew ten times a second. So of the plans that cut their predecessor
-    off before its period only two in four seconds enter at once, at least `least_ticks` after it; others wait for the
-    end of that period. While a plan has still to enter, with time enough to make another, the other takes its place
-    unseen: commands that come at any rate are all planned for, and what enters was made for the newest of them.
+    off before its period only two in four seconds enter at once, at least `least_ticks` after one that began something
+    new; others wait for the end of that period. While a plan has still to enter, with time enough to make another, the
+    other takes its place unseen: commands that come at any rate are all planned for, and what enters was made for the
+    newest of them.
 
     Args:
         least_ticks: the least that a plan runs before another takes over.
@@ -50,12 +53,12 @@ class PlanPacer:
             return start_tick_for(last.start_tick, 0, fps)
         return max(soonest, start_tick_for(last.start_tick, self._gap(last, soonest), fps))
 
-    def entered(self, start_tick: int, period_ticks: int) -> None:
-        """A plan was accepted, and is meant to run for `period_ticks`."""
+    def entered(self, start_tick: int, period_ticks: int, goes_on: bool = False) -> None:
+        """A plan was accepted, and is meant to run for `period_ticks`; `goes_on`: no command is new in it."""
         last = self._last
         if last is not None and last.start_tick < start_tick < last.start_tick + last.period_ticks:
             self._early.append(start_tick)
-        self._last = _Entered(start_tick, period_ticks)
+        self._last = _Entered(start_tick, period_ticks, goes_on)
 
     def remembered(self) -> tuple[tuple[int, int] | None, tuple[int, ...]]:
         """Start and period of the plan in force, and the starts of early ones, for `remember`."""
@@ -74,4 +77,6 @@ class PlanPacer:
 
     def _gap(self, last: _Entered, soonest: int) -> int:
         spent = len(self._early) == EARLY_PLANS and soonest - self._early[0] < EARLY_WITHIN_TICKS
-        return min(last.period_ticks, LONGEST_WAIT_TICKS) if spent else min(self._least_ticks, last.period_ticks)
+        if spent:
+            return min(last.period_ticks, LONGEST_WAIT_TICKS)
+        return 0 if last.goes_on else min(self._least_ticks, last.period_ticks)

@@ -17,7 +17,8 @@ class LoopSettings(BaseModel):
         text_replan_ticks: the same for plans without a target. A plan that is cut off early never gets far into what
             its text says: from standing, its first half second is still standing, again and again.
         least_ticks: the least that a plan runs before one for a new command takes over (see `core.pacing`).
-        plan_lead_ticks: a plan is requested so many ticks ahead of its start; 0 plans from the present state.
+        plan_lead_ticks: a plan is requested so many ticks ahead of its start (by the clock at least so many, see
+            `core.lead`); 0 plans from the present state.
         horizon_frames: length of a plan at 20 fps.
         chained_plans: so many plans, each going on from the end of the one before, are asked for and performed as one.
         error_decay_s: time in which the tracking error added to the old plan's rest dies out.
@@ -40,7 +41,7 @@ class LoopSettings(BaseModel):
 
 
 LOCKSTEP = LoopSettings()
-REALTIME = LoopSettings(plan_lead_ticks=12, plan_timeout_s=3.0, tracker_timeout_s=15.0)
+REALTIME = LoopSettings(plan_lead_ticks=3, plan_timeout_s=3.0, tracker_timeout_s=15.0)
 
 VARIANTS: dict[str, LoopSettings] = {
     "closed_loop": LoopSettings(),

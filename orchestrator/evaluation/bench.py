@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
+from math import ceil
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from orchestrator.core.character import CharacterSession, CharacterSpec
 from orchestrator.core.command import Command
 from orchestrator.core.events import EventLog
 from orchestrator.core.services import Services
+from orchestrator.evaluation.commands import KindsOption, choose
 from orchestrator.evaluation.statistics import percentiles
 from shared.plugins.conformance import sample_request
 from shared.plugins.interfaces import PlannerSpec
@@ -36,6 +38,8 @@ from shared.protocol.messages import (
 )
 
 COMMAND_EVERY_S = 3.0
+JOIN_EVERY_S = 0.3
+"""Characters come one after another, as people do."""
 TEXTS = ("a person is walking.", "a person is standing still.", "a person waves with the right hand.")
 
 
@@ -47,8 +51,10 @@ async def bench_loop(
     planner: str | None = None,
     tracker: str | None = None,
     say: Callable[[str], None] | None = None,
+    kinds: KindsOption | None = None,
 ) -> dict[str, Any]:
-    """Realtime characters with a new command every three seconds.
+    """Realtime characters that come one after another and are given a new command every three seconds or so, at any
+    time: walking, standing or waving, or what `eval text` asks for with these kinds.
 
     Returns:
         realtime_factor: simulated over wall time; missed_ticks, missed_share; late_plans: dropped or entered late;
@@ -59,22 +65,27 @@ async def bench_loop(
         CharacterSpec(pacing="realtime", seed=seed + i, planner=planner, tracker=tracker) for i in range(characters)
     ]
     sessions = [CharacterSession(str(uuid.uuid4()), spec, services, EventLog()) for spec in specs]
-    await asyncio.gather(*(session.start() for session in sessions))
-    began, first_ticks = time.perf_counter(), [session.state.tick for session in sessions]
+    for session in sessions:
+        await session.start()
+        await asyncio.sleep(JOIN_EVERY_S)
     commands: list[list[tuple[int, str]]] = [[] for _ in sessions]
-    falls = 0
-    step = 0
-    while (elapsed := time.perf_counter() - began) < seconds:
-        for i, session in enumerate(sessions):
-            if session.state.fallen:
-                falls += 1
-                await session.reset()
-            text = TEXTS[(step + i) % len(TEXTS)]
-            commands[i].append((session.set_command(Command(text=text)), text))
-        step += 1
-        if say is not None:
-            say(f"{elapsed:.0f} of {seconds:.0f} s, missed ticks {sum(s.state.missed_ticks for s in sessions)}")
-        await asyncio.sleep(min(COMMAND_EVERY_S, max(0.0, seconds - elapsed)))
+    rounds = ceil(seconds / COMMAND_EVERY_S)
+    texts = TEXTS if kinds is None else tuple(asked.text for asked in choose(rounds + characters, seed, kinds))
+    falls, rng = 0, np.random.default_rng(seed)
+    began, first_ticks = time.perf_counter(), [session.state.tick for session in sessions]
+    for number in range(rounds * characters):
+        step, i = divmod(number, characters)
+        due_s = (number + 0.5 * float(rng.uniform())) * COMMAND_EVERY_S / characters  # at any phase of plans
+        await asyncio.sleep(max(0.0, due_s - (time.perf_counter() - began)))
+        session, text = sessions[i], texts[(step + i) % len(texts)]
+        if session.state.fallen:
+            falls += 1
+            await session.reset()
+        commands[i].append((session.set_command(Command(text=text)), text))
+        if say is not None and i == 0:
+            missed = sum(s.state.missed_ticks for s in sessions)
+            say(f"{time.perf_counter() - began:.0f} of {seconds:.0f} s, missed ticks {missed}")
+    await asyncio.sleep(max(0.0, seconds - (time.perf_counter() - began)))
     wall_s = time.perf_counter() - began
     states = [await session.loop.observe() for session in sessions]
     ticks = [state.tick - first for state, first in zip(states, first_ticks, strict=True)]
@@ -97,6 +108,38 @@ async def bench_loop(
         "late_plans": late,
         "falls": falls,
     }
+
+
+MISSED_SHARE = 0.005
+"""More missed ticks than this are no real time."""
+
+
+async def most_characters(
+    bench: Callable[[int], Awaitable[dict[str, Any]]], most: int, say: Callable[[str], None] | None = None
+) -> dict[str, Any]:
+    """The largest number of characters at which hardly a tick is missed and no plan is late, by doubling and halving.
+
+    Args:
+        bench: `bench_loop` for a number of characters.
+        most: more are not tried.
+
+    Returns:
+        max_characters (0: not even one), and the rows of `bench` by number.
+    """
+    rows: dict[int, dict[str, Any]] = {}
+
+    async def keeps_up(characters: int) -> bool:
+        if say is not None:
+            say(f"{characters} characters ...")
+        row = rows[characters] = await bench(characters)
+        return bool(row["missed_share"] < MISSED_SHARE and row["late_plans"] == 0)
+
+    good, bad = 0, most + 1
+    while bad - good > 1:
+        doubled = max(1, 2 * good)
+        tried = doubled if doubled < bad else (good + bad) // 2
+        good, bad = (tried, bad) if await keeps_up(tried) else (good, tried)
+    return {"max_characters": good, "missed_share_allowed": MISSED_SHARE, "rows": [rows[n] for n in sorted(rows)]}
 
 
 def _latencies(given: list[tuple[int, str]], plans: list[dict[str, Any]]) -> list[float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,3 +37,19 @@ class Batch:
     manners: list[Manner]
     noise: Tensor
     timings_ms: dict[str, float]
+
+    def only(self, rows: Sequence[int]) -> Batch:
+        """Some of the requests, in this order."""
+        picked = list(rows)
+        return Batch(
+            prefixes=[self.prefixes[row] for row in picked],
+            states=[self.states[row] for row in picked],
+            wishes=self.wishes.only(picked),
+            taken_as=[self.taken_as[row] for row in picked],
+            prefix=self.prefix[picked],
+            text=self.text[picked],
+            mask=self.mask[picked],
+            manners=[self.manners[row] for row in picked],
+            noise=self.noise[:, picked],
+            timings_ms=self.timings_ms,
+        )

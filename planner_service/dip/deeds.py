@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import cos, sin
+from math import cos, inf, sin
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,7 @@ import numpy.typing as npt
 from planner_service.dip.effort import words_alone
 from shared.motion.features import RootState
 from shared.motion.skeleton import CANONICAL
-from shared.protocol.messages import PLANNER_FPS, HeadingTarget, JointTarget, Plan, PlanRequest
+from shared.protocol.messages import PLANNER_FPS, HeadingTarget, JointTarget, PlanRequest
 from shared.tasks.kinds import SIDES, ahead_m, ahead_mps, arm_reach, wrist_seen_m
 
 Array = npt.NDArray[np.float64]
@@ -61,13 +61,15 @@ class Deed:
     Attributes:
         worth: of a motion (T, 22, 3) at PLANNER_FPS, done with a side, `left` or `right`, or with either ("").
         lands: where the limb of that side is sent; None where the words say enough.
-        tries: how often it is planned for. kept: so many of them are sampled to the end, the others half-way.
+        tries: how often it is planned for. kept: so many of them are sampled to the end, the most promising.
+        shown: of a prefix of this worth and more, in which it is done already, only `kept` are planned.
     """
 
     worth: Callable[[Array, str], float]
     lands: Landing | None = None
     tries: int = 12
-    kept: int = 5
+    kept: int = 4
+    shown: float = inf
 
 
 def deed_of(meaning: str | None, request: PlanRequest) -> tuple[Deed, str] | None:
@@ -85,30 +87,18 @@ def deed_of(meaning: str | None, request: PlanRequest) -> tuple[Deed, str] | Non
 def tries_of(request: PlanRequest, state: RootState, deed: Deed, side: str) -> list[PlanRequest]:
     """Requests for a deed; the first has the seed of the one that was asked for."""
     told = request if deed.lands is None else _sent(request, state, deed.lands, side)
-    words = np.random.SeedSequence(request.seed).generate_state(deed.tries, np.uint64)
+    goes_on = deed.worth(request.prefix_positions_w_m.astype(np.float64), side) >= deed.shown
+    words = np.random.SeedSequence(request.seed).generate_state(deed.kept if goes_on else deed.tries, np.uint64)
     seeds = [request.seed, *(int(word >> np.uint64(1)) for word in words[1:])]
     return [told.model_copy(update={"seed": seed}) for seed in seeds]
 
 
-def promising(request: PlanRequest, deed: Deed, side: str, foreseen_w_m: Sequence[Array]) -> list[int]:
-    """Which of the plans of `tries_of` are worth being sampled to the end, best first, by what (N, 22, 3) each is
-    foreseen to be half-way: of 72 blows the five best by then had one within 0.02 (mean) of the best of all twelve."""
+def ranked(request: PlanRequest, deed: Deed, side: str, motions_w_m: Sequence[Array]) -> list[int]:
+    """The plans of `tries_of`, best first, by what motion (N, 22, 3) each is, or is foreseen to be; what comes
+    after the request's horizon counts for nothing."""
     before = request.prefix_positions_w_m[-PREFIX_FRAMES:].astype(np.float64)
-    worth = [deed.worth(np.concatenate([before, motion]), side) for motion in foreseen_w_m]
-    return [int(i) for i in np.argsort(worth)[::-1][: deed.kept]]
-
-
-def best_of(request: PlanRequest, deed: Deed, side: str, made: Sequence[tuple[PlanRequest, Plan]]) -> Plan:
-    """Of the plans of `tries_of` the one in which the deed is done best, as the plan of the request: with its seed, and
-    with the text that it was made for."""
-    before = request.prefix_positions_w_m[-PREFIX_FRAMES:]
-
-    def worth(one: tuple[PlanRequest, Plan]) -> float:
-        return deed.worth(np.concatenate([before, one[1].positions_w_m]).astype(np.float64), side)
-
-    told, plan = max(made, key=worth)
-    other = told.text if told.text != request.text else plan.understood
-    return plan.model_copy(update={"seed": request.seed, "understood": other})
+    shown = [motion[: request.horizon_frames] for motion in motions_w_m]
+    return [int(i) for i in np.argsort([-deed.worth(np.concatenate([before, motion]), side) for motion in shown])]
 
 
 def punching(motion_w_m: Array, side: str) -> float:
@@ -177,7 +167,7 @@ KICK = Deed(
 )
 """Fists land early: told to land three ticks later, few are fast enough once a body with mass performs them. Kicks are
 told by the words that those which aim at something were trained with."""
-WAVE = Deed(waving, tries=6, kept=2)
+WAVE = Deed(waving, tries=6, kept=2, shown=1.15)
 DEEDS: dict[str, Deed] = {
     **dict.fromkeys(("wave", "wave_both"), WAVE),
     **dict.fromkeys(("punch", "punch_at", "punch_step", "box"), PUNCH),

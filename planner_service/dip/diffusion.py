@@ -100,9 +100,11 @@ def sample(schedule: Schedule, denoise: Denoiser, noise: Tensor, begun: Tensor |
     return _sampled(schedule, denoise, noise, begun, done, schedule.steps)[0]
 
 
-def sample_some(schedule: Schedule, denoise: Denoiser, noise: Tensor, calls: int) -> tuple[Tensor, Tensor]:
-    """The first so many network calls of `sample`: (B, N, F) the x0 foreseen by then, and what to go on from."""
-    return _sampled(schedule, denoise, noise, None, 0, calls)
+def sample_some(
+    schedule: Schedule, denoise: Denoiser, noise: Tensor, until: int, begun: Tensor | None = None, done: int = 0
+) -> tuple[Tensor, Tensor]:
+    """The network calls of `sample` up to so many: (B, N, F) the x0 foreseen by then, and what to go on from."""
+    return _sampled(schedule, denoise, noise, begun, done, until)
 
 
 def _sampled(

@@ -129,8 +129,9 @@ class FoldedDip:
         condition = self._time[list(numbers)][:, None] + constant[None]
         keys, bias, values = (t.view(steps, rows, *t.shape[1:]) for t in self._fold(condition.flatten(0, 1)))
         memory = self._memory(rows, -(-(1 + length) // MEMORY_MULTIPLE) * MEMORY_MULTIPLE)
-        of_text = self._fold(network.text_in(given.text).flatten(0, 1))
-        text_keys, text_bias, text_values = (t.view(batch, length, *t.shape[1:]) for t in of_text)
+        texts, text_of = torch.unique(given.text, dim=0, return_inverse=True)  # all tries of a deed have one
+        of_text = self._fold(network.text_in(texts).flatten(0, 1))
+        text_keys, text_bias, text_values = (t.view(len(texts), length, *t.shape[1:])[text_of] for t in of_text)
         by_token = (-1, batch, self._heads, memory.bias.shape[-1] // self._heads)
         token = slice(1, 1 + length)
         memory.keys[:, :batch].view(*by_token, config.width)[:, :, :, token] = text_keys.permute(2, 0, 3, 1, 4)

@@ -20,7 +20,7 @@ from torch import Tensor
 from planner_service.dip.aiming import AIMED_STEPS, aimed, hands_of, toes_of
 from planner_service.dip.batch import Batch
 from planner_service.dip.conditions import JOINT_SLOTS
-from planner_service.dip.deeds import Deed, best_of, deed_of, promising, tries_of
+from planner_service.dip.deeds import Deed, deed_of, ranked, tries_of
 from planner_service.dip.diffusion import Denoiser, cosine_schedule, respaced, sample, sample_some, spread_steps
 from planner_service.dip.effort import EASIER_GUIDANCE, STANDS_MPS, eased, slowing, speed_mps, too_hard
 from planner_service.dip.feet import with_planted_feet
@@ -47,6 +47,8 @@ from shared.protocol.messages import PLANNER_FPS, Plan, PlanRequest, TextRead
 
 Array = npt.NDArray[np.float64]
 VERSION = "1"
+CHOICE_AFTER_CALLS = 3
+"""Of several plans the most promising are chosen after so many calls of the network, at most half of all."""
 
 
 class DipSettings(BaseModel):
@@ -119,8 +121,7 @@ class DipPlanner:
         trained = self._config.steps
         wanted = self._settings.steps or usual_steps(trained, self._settings.bf16)
         self._steps = spread_steps(trained, min(wanted, trained))
-        self._schedule = respaced(cosine_schedule(self._config.steps), self._steps)
-        self._half = len(self._steps) // 2
+        self._schedule = respaced(cosine_schedule(trained), self._steps)
         self._weights_id = weights.sha256[:12]
         self._spec = PlannerSpec(
             name="dip",
@@ -177,13 +178,9 @@ class DipPlanner:
         requests = [slowing(request, meaning) for request, meaning in zip(requests, meant, strict=True)]
         floor = [is_floor_seat(request) for request in requests]
         requests = [way_down(r) if low else r for r, low in zip(requests, floor, strict=True)]
-        tried = [
-            [request] if found is None else tries_of(request, root_state(request.prefix_positions_w_m[-1]), *found)
-            for request, found in zip(requests, deeds, strict=True)
-        ]
-        made = iter(self._tried(requests, deeds, tried))
+        plain = iter(self._plans([r for r, found in zip(requests, deeds, strict=True) if found is None]))
         plans = [
-            next(made)[1] if found is None else best_of(request, *found, [next(made) for _ in range(found[0].kept)])
+            next(plain) if found is None else self._deed(request, *found)
             for request, found in zip(requests, deeds, strict=True)
         ]
         return [held_seated(r, p) if low else p for r, p, low in zip(requests, plans, floor, strict=True)]
@@ -192,28 +189,31 @@ class DipPlanner:
         read = self._read(request.text)
         return None if read is None else read.meaning
 
-    def _tried(
-        self, requests: list[PlanRequest], deeds: list[tuple[Deed, str] | None], tried: list[list[PlanRequest]]
-    ) -> list[tuple[PlanRequest, Plan]]:
-        """Each request's own plan, or the plans of its most promising tries; the others are given up half-way."""
-        flat = [told for each in tried for told in each]
-        if not any(deeds):
-            return list(zip(flat, self._plans(flat), strict=True))
-        began = time.monotonic()
-        batch = self._batch(flat)
-        motions, begun = self._half_way(batch)
-        kept, first = [], 0
-        for request, found, each in zip(requests, deeds, tried, strict=True):
-            own = [motion[: request.horizon_frames] for motion in motions[first : first + len(each)]]
-            kept += [first] if found is None else [first + i for i in promising(request, *found, own)]
-            first += len(each)
-        spent_ms = {"tries": (time.monotonic() - began) * 1e3}
-        chosen = [flat[i] for i in kept]
-        plans = [
-            plan.model_copy(update={"timings_ms": {**plan.timings_ms, **spent_ms}})
-            for plan in self._plans(chosen, begun[kept])
-        ]
-        return list(zip(chosen, plans, strict=True))
+    def _deed(self, request: PlanRequest, deed: Deed, side: str) -> Plan:
+        """The best of several plans: those that promise less are given up on the way, all but one before the last,
+        exact call of the network."""
+        began, done, last = time.monotonic(), 0, len(self._steps) - 1
+        tried = tries_of(request, root_state(request.prefix_positions_w_m[-1]), deed, side)
+        batch, begun = self._batch(tried), None
+        with torch.inference_mode():
+            for until, kept in ((min(CHOICE_AFTER_CALLS, len(self._steps) // 2), deed.kept), (last, 1)):
+                foreseen, begun = sample_some(self._schedule, self._denoiser(batch), batch.noise, until, begun, done)
+                best = ranked(request, deed, side, self._motions(batch, self._features(foreseen)))[:kept]
+                tried, batch, begun, done = [tried[i] for i in best], batch.only(best), begun[best], until
+            clean = sample(self._schedule, self._denoiser(batch), batch.noise, begun, done)
+        sampled = time.monotonic()
+        plan = self._to_plan(tried[0], self._features(clean)[0], batch, 0)
+        return plan.model_copy(
+            update={
+                "seed": request.seed,
+                "understood": batch.taken_as[0] if tried[0].text == request.text else tried[0].text,
+                "timings_ms": {
+                    **batch.timings_ms,
+                    "diffusion": (sampled - began) * 1e3 - sum(batch.timings_ms.values()),
+                    "decode": (time.monotonic() - sampled) * 1e3,
+                },
+            }
+        )
 
     def _batch(self, requests: list[PlanRequest]) -> Batch:
         """All that sampling needs of some requests."""
@@ -241,19 +241,16 @@ class DipPlanner:
             timings_ms={"features": (encoded - began) * 1e3, "text": (time.monotonic() - encoded) * 1e3},
         )
 
-    def _plans(self, requests: list[PlanRequest], begun: Tensor | None = None) -> list[Plan]:
-        """One plan for each request, of one sample or, where that was too hard, of a second one; with what `_half_way`
-        had begun (B, N, F), the plans that it leads to."""
+    def _plans(self, requests: list[PlanRequest]) -> list[Plan]:
+        """One plan for each request, of one sample or, where that was too hard, of a second one."""
         if not requests:
             return []
         batch = self._batch(requests)
         began = time.monotonic()
         guidance = [manner.guidance for manner in batch.manners]
         with torch.inference_mode():
-            clean = sample(
-                self._schedule, self._denoiser(batch), batch.noise, begun, self._half if begun is not None else 0
-            )
-        planned = self._normalizer.denormalize(clean).double().numpy()
+            clean = sample(self._schedule, self._denoiser(batch), batch.noise)
+        planned = self._features(clean)
         sampled = time.monotonic()
         plans = [
             self._to_plan(request, features, batch, i)
@@ -275,13 +272,13 @@ class DipPlanner:
             plans[i] = plan.model_copy(update={"timings_ms": both})
         return plans
 
-    def _half_way(self, batch: Batch) -> tuple[list[Array], Tensor]:
-        """Half of the network calls: the motions (N, 22, 3) foreseen by then, and what to go on from (B, N, F)."""
-        with torch.inference_mode():
-            foreseen, begun = sample_some(self._schedule, self._denoiser(batch), batch.noise, self._half)
-        clean = self._normalizer.denormalize(foreseen).double().numpy()
-        rows = zip(batch.prefixes, clean, batch.states, strict=True)
-        return [features_to_global(np.concatenate([p[-1:], f]), PLANNER_FPS, s)[1:] for p, f, s in rows], begun
+    def _features(self, clean: Tensor) -> Array:
+        return self._normalizer.denormalize(clean).double().numpy()
+
+    def _motions(self, batch: Batch, features: Array) -> list[Array]:
+        """(N, 22, 3) of each plan of a batch, as the network shows it."""
+        rows = zip(batch.prefixes, features, batch.states, strict=True)
+        return [features_to_global(np.concatenate([p[-1:], f]), PLANNER_FPS, s)[1:] for p, f, s in rows]
 
     def _manner(self, request: PlanRequest, read: Nearest | None, placed: bool) -> Manner:
         coarse = self._settings.coarse_guidance

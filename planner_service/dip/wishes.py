@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -50,6 +50,18 @@ class Wishes:
     velocity: Tensor | None
     placed: list[bool]
     ignored: list[list[str]]
+
+    def only(self, rows: Sequence[int]) -> Wishes:
+        """Those of some of the requests, in this order."""
+        picked = list(rows)
+        return Wishes(
+            targets=self.targets[picked],
+            aims=[replace(aim, row=new) for new, row in enumerate(picked) for aim in self.aims if aim.row == row],
+            keyframes=None if self.keyframes is None else self.keyframes[picked],
+            velocity=None if self.velocity is None else self.velocity[picked],
+            placed=[self.placed[row] for row in picked],
+            ignored=[self.ignored[row] for row in picked],
+        )
 
 
 def read_wishes(

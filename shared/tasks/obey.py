@@ -69,12 +69,17 @@ BLOW_TICKS = 42
 the way down to the floor, which takes as long."""
 
 
+def is_blow(text: str | None, targets: Sequence[JointTarget] = ()) -> bool:
+    """Whether a sentence asks for a punch or a kick, and nothing but the sentence says where."""
+    return text is not None and not targets and _BLOW.search(text.lower()) is not None
+
+
 def holds_ticks(text: str | None, targets: Sequence[JointTarget] = ()) -> int:
     """For how long a plan for a sentence is to be performed, in ticks; 0 where it may be made anew at any time, as with
     targets, whose arrival is told."""
     if text is None or targets:
         return 0
-    return BLOW_TICKS if _BLOW.search(text.lower()) or asks_floor_seat(text) else 0
+    return BLOW_TICKS if is_blow(text) or asks_floor_seat(text) else 0
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,14 @@ def test_by_hand() -> None:
     assert pacer.start_tick(20, LEAD) == 33
 
 
+def test_a_plan_that_only_goes_on_may_be_cut_off_at_once() -> None:
+    pacer = PlanPacer(LEAST)
+    pacer.entered(30, 30, goes_on=True)
+    assert pacer.start_tick(30, 3) == 33
+    pacer.entered(33, 30)
+    assert pacer.start_tick(33, 3) == 33 + LEAST
+
+
 def test_no_one_waits_for_a_long_plan_to_end() -> None:
     pacer = PlanPacer(9)
     for start in (0, 12, 24, 36):

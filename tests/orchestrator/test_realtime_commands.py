@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import threading
+import time
 from pathlib import Path
 
 from orchestrator.core.character import CharacterSession, CharacterSpec
@@ -10,6 +12,12 @@ from orchestrator.core.command import Command
 from orchestrator.core.events import EventLog
 from orchestrator.core.services import Services, connect
 from orchestrator.core.supervise import Stack
+from planner_service.builtin.stand import StandPlanner
+from planner_service.service.service import PlannerService
+from planner_service.service.settings import PlannerSettings
+from shared.plugins.interfaces import Planner
+from shared.plugins.registry import PLANNERS, PluginRegistry
+from shared.protocol.messages import Plan, PlanRequest
 from tests.orchestrator.support import light
 
 GIVE_UP_S = 60.0
@@ -49,3 +57,53 @@ def test_the_next_plan_is_for_the_new_command(tmp_path: Path) -> None:
         asyncio.run(asyncio.wait_for(command_three_times(*endpoints), GIVE_UP_S))
     finally:
         stack.stop()
+
+
+async def plans_after_a_command(planner: str, tracker: str, planning: threading.Event) -> list[str | None]:
+    """Texts of the plans that the tracker was given after a command that came while one was made."""
+    services = Services(await connect(planner, "planner", "stand"), await connect(tracker, "tracker", "kinematic"))
+    session = CharacterSession("busy", CharacterSpec(pacing="realtime"), services, EventLog())
+    try:
+        await session.start()
+        session.set_command(Command(text="walk"))
+        while "walk" not in await texts_planned(session, 0):
+            await asyncio.sleep(0.005)
+        planning.clear()
+        while not planning.is_set():  # of its own accord: a plan that goes on with the walk
+            await asyncio.sleep(0.002)
+        session.set_command(Command(text="wave"))
+        before = len(await texts_planned(session, 0))
+        while "wave" not in (seen := (await texts_planned(session, before))[before:]):
+            await asyncio.sleep(0.005)
+        return seen
+    finally:
+        await session.close()
+        await services.close()
+
+
+class Announcing:
+    """Stands, after a tenth of a second, and says when it is asked to."""
+
+    def __init__(self, asked: threading.Event) -> None:
+        self.spec, self._asked = StandPlanner().spec, asked
+
+    def plan(self, requests: list[PlanRequest]) -> list[Plan]:
+        self._asked.set()
+        time.sleep(0.1)
+        return StandPlanner().plan(requests)
+
+
+def test_what_only_goes_on_is_dropped_for_a_command(tmp_path: Path) -> None:
+    asked = threading.Event()
+    planner: Planner = Announcing(asked)
+    registry: PluginRegistry[Planner] = PluginRegistry(PLANNERS, {"stand": lambda: planner})
+    stack = Stack(light(tmp_path))
+    stack.tracker.start()
+    try:
+        endpoint = stack.tracker.wait_ready(60.0)
+        with PlannerService(PlannerSettings(endpoint="tcp://127.0.0.1:0"), registry=registry) as service:
+            run = plans_after_a_command(service.endpoint, endpoint, asked)
+            planned = asyncio.run(asyncio.wait_for(run, GIVE_UP_S))
+    finally:
+        stack.stop()
+    assert planned[0] == "wave"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from planner_service.dip.deeds import DEEDS, KICK, PUNCH, WAVE, deed_of, kicking, promising, punching, tries_of, waving
+from planner_service.dip.deeds import DEEDS, KICK, PUNCH, WAVE, deed_of, kicking, punching, ranked, tries_of, waving
 from planner_service.dip.planner import DipPlanner
 from planner_service.text.known import KnownSentences
 from planner_service.training.rollout import Rollout
@@ -97,15 +97,14 @@ def test_a_limb_is_sent_ahead_of_the_body_wherever_it_faces() -> None:
     assert told.targets[0].arrival_tick == asked.start_tick + PUNCH.lands.ticks
 
 
-def test_only_the_best_of_what_is_foreseen_is_sampled_to_the_end() -> None:
+def test_plans_are_ranked_by_what_they_show() -> None:
     motions = [np.repeat(STANDING.positions_w_m[-1:].astype(float), 20, axis=0) for _ in range(5)]
     ankle = CANONICAL.index("left_ankle")
     for number, motion in enumerate(motions):
         motion[8:12, ankle] += [0.4, 0.0, 0.1 * ((number * 2) % 5)]
-    kept = promising(request("kick"), KICK, "left", motions)
-    assert len(kept) == KICK.kept
+    best_first = ranked(request("kick"), KICK, "left", motions)
     worth = [kicking(motion, "left") for motion in motions]
-    assert [worth[i] for i in kept] == sorted(worth, reverse=True)[: KICK.kept]
+    assert [worth[i] for i in best_first] == sorted(worth, reverse=True)
 
 
 def test_a_wave_is_planned_for_as_it_is_and_the_widest_is_the_best() -> None:

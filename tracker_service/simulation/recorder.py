@@ -10,7 +10,7 @@ import contextlib
 import threading
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -68,7 +68,7 @@ class Recorder:
     first_sample: int = 0
     spill_failures: int = 0
     _chunks: list[_Chunk] = field(default_factory=list)
-    _open: list[Mapping[str, AnyArray]] = field(default_factory=list)
+    _open: Samples = field(default_factory=dict)
     _open_count: int = 0
     _cached: tuple[Path, Samples] | None = None
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -82,7 +82,7 @@ class Recorder:
     @property
     def memory_bytes(self) -> int:
         """Bytes of samples now in memory."""
-        held = [c.arrays for c in self._chunks if c.arrays is not None] + list(self._open)
+        held = [c.arrays for c in self._chunks if c.arrays is not None] + [self._open]
         return sum(a.nbytes for arrays in held for a in arrays.values())
 
     @property
@@ -91,7 +91,7 @@ class Recorder:
         return sum(c.path is not None for c in self._chunks)
 
     def append(self, samples: Mapping[str, AnyArray]) -> None:
-        """Add N samples: arrays (N, ...) of the same N. The arrays are kept, not copied: do not change them after."""
+        """Add N samples: arrays (N, ...) of the same N."""
         counts = {a.shape[0] for a in samples.values()}
         if len(counts) != 1:
             raise InvalidInputError("arrays of unequal length", field="samples", allowed="one length for all")
@@ -99,10 +99,14 @@ class Recorder:
         if count == 0:
             return
         with self._lock:
-            if self._open and not _same_layout(self._open[-1], samples):
+            if self._open_count and not _same_layout(self._open, samples):
                 self._seal()
-            self._open.append(dict(samples))
-            self._open_count += count
+            stop = self._open_count + count
+            if not self._open_count or stop > len(next(iter(self._open.values()))):
+                self._make_room(max(stop, self.chunk_samples), samples)
+            for name, rows in samples.items():
+                self._open[name][self._open_count : stop] = rows
+            self._open_count = stop
             if self._open_count >= self.chunk_samples:
                 self._seal()
 
@@ -184,9 +188,18 @@ class Recorder:
         with contextlib.suppress(OSError):
             self.spool_dir.rmdir()
 
-    def _fold_open(self) -> None:
-        if len(self._open) > 1:
-            self._open = [{n: np.concatenate([part[n] for part in self._open]) for n in self._open[0]}]
+    def _make_room(self, count: int, like: Mapping[str, AnyArray]) -> None:
+        """Arrays for so many open samples, in which the present ones are kept. Rows once written never change: what was
+        read stays valid while more are added."""
+        new = {name: np.empty((count, *rows.shape[1:]), rows.dtype) for name, rows in like.items()}
+        if self._open_count:
+            for name, rows in new.items():
+                rows[: self._open_count] = self._open[name][: self._open_count]
+        self._open = new
+
+    def _tail(self) -> _Chunk:
+        first = self.next_sample - self._open_count
+        return _Chunk(first, self._open_count, {name: rows[: self._open_count] for name, rows in self._open.items()})
 
     def _overlapping(self, first: int, last: int) -> list[_Chunk]:
         """Copies of the chunks that hold samples first..last, which stay valid after the lock is released."""
@@ -195,19 +208,17 @@ class Recorder:
             for chunk in self._chunks
             if chunk.first <= last and chunk.first + chunk.count > first
         ]
-        if self._open:
-            self._fold_open()
-            tail = _Chunk(self.next_sample - self._open_count, self._open_count, dict(self._open[0]))
-            if tail.first <= last:
-                out.append(tail)
+        if self._open_count and (tail := self._tail()).first <= last:
+            out.append(tail)
         return out
 
     def _seal(self) -> None:
-        if not self._open:
+        if not self._open_count:
             return
-        self._fold_open()
-        self._chunks.append(_Chunk(self.next_sample - self._open_count, self._open_count, dict(self._open[0])))
-        self._open, self._open_count = [], 0
+        tail = self._tail()
+        assert tail.arrays is not None
+        self._chunks.append(replace(tail, arrays={name: rows.copy() for name, rows in tail.arrays.items()}))
+        self._open, self._open_count = {}, 0
         in_memory = [c for c in self._chunks if c.arrays is not None]
         for chunk in in_memory[: max(0, len(in_memory) - self.memory_chunks)]:
             self._spill(chunk)
