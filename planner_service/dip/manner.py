@@ -2,7 +2,7 @@
 
 What the network foresees in the noisy steps is a mean over phases, and so smaller than any motion. Sampled in ten steps
 it stays smaller: a wave swings by a third of a recorded one, and from plan to plan (a small wave as prefix is gone on
-with as a small wave) less. Guidance shrinks it more, but makes whole steps aside of half-hearted ones (tables in
+with as a small wave) less. Guidance shrinks it more, but makes whole steps aside and back of half-hearted ones (tables in
 docs/experiments_planner.md; of kicks it makes such as throw the body).
 """
 
@@ -39,7 +39,7 @@ class Manner:
 
 FIRM = Manner(7.0, 7.0)
 SWINGING = Manner(1.0, 1.0, 0.3)
-MANNERS = {"step_side": FIRM, "walk_side": FIRM, "wave": SWINGING, "wave_both": SWINGING}
+MANNERS = {"step_back": FIRM, "step_side": FIRM, "walk_side": FIRM, "wave": SWINGING, "wave_both": SWINGING}
 """By action of shared/data; all else as the planner's settings say."""
 
 
