@@ -2,8 +2,8 @@
 
 What the network foresees in the noisy steps is a mean over phases, and so smaller than any motion. Sampled in ten steps
 it stays smaller: a wave swings by a third of a recorded one, and from plan to plan (a small wave as prefix is gone on
-with as a small wave) less. Guidance shrinks it more, but makes whole steps aside and back of half-hearted ones (tables in
-docs/experiments_planner.md; of kicks it makes such as throw the body).
+with as a small wave) less. Guidance shrinks it more, but makes whole steps aside and back of half-hearted ones (tables
+in docs/experiments_planner.md; of kicks it makes such as throw the body).
 """
 
 from __future__ import annotations
