@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
 from math import ceil
 from typing import Literal
 
@@ -19,8 +18,8 @@ FIRST_TICKS = 9
 """Before anything is known of how long plans take."""
 SPARE, SPARE_S = 1.2, 0.02
 """So many times as long as that, and so much longer, is waited for."""
-HUNG = 3.0
-"""A plan that took so many times as long as is usual is no measure."""
+MOST_OF = 90
+"""Percentile: a few that hung are no measure."""
 Effort = Literal["once", "wave", "blow"]
 COSTS: dict[Effort, float] = {"once": 1.0, "wave": 1.8, "blow": 3.0}
 """Waves and blows are planned for several times (`planner_service.dip.deeds`): how much longer that takes, where it is
@@ -32,8 +31,8 @@ class PlanLead:
     """As far as the settings say, and farther where plans take longer than that.
 
     A plan that comes too late is joined in late, or dropped by the tracker; where the planner is slow, every one would
-    be, and the character would never move. So what the longest of the last plans of like effort took is waited for,
-    and a little longer.
+    be, and the character would never move. So what nearly all of the last plans of like effort took is waited for, and
+    a little longer.
 
     Args:
         least_ticks: the settings' lead.
@@ -60,7 +59,7 @@ class PlanLead:
         known = effort if effort in self._took_s else next(iter(self._took_s), None)
         if known is None:
             return max(self._least_ticks, FIRST_TICKS)
-        wanted_s = _longest(self._took_s[known]) * COSTS[effort] / COSTS[known]
+        wanted_s = float(np.percentile(self._took_s[known], MOST_OF)) * COSTS[effort] / COSTS[known]
         return max(self._least_ticks, min(ceil((SPARE * wanted_s + SPARE_S) * TICK_HZ), MOST_TICKS))
 
 
@@ -69,8 +68,3 @@ def effort_of(goal: PlanGoal) -> Effort:
     if is_blow(goal.text, goal.targets):
         return "blow"
     return "wave" if goal.text is not None and not goal.targets and kind_of(goal.text) == "wave" else "once"
-
-
-def _longest(took_s: Iterable[float]) -> float:
-    every = np.array([*took_s])
-    return float(every[every <= HUNG * np.median(every)].max())

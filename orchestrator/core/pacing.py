@@ -54,9 +54,10 @@ class PlanPacer:
         return max(soonest, start_tick_for(last.start_tick, self._gap(last, soonest), fps))
 
     def entered(self, start_tick: int, period_ticks: int, goes_on: bool = False) -> None:
-        """A plan was accepted, and is meant to run for `period_ticks`; `goes_on`: no command is new in it."""
+        """A plan was accepted, and is meant to run for `period_ticks`; `goes_on`: no command is new in it,
+        and so it is not early."""
         last = self._last
-        if last is not None and last.start_tick < start_tick < last.start_tick + last.period_ticks:
+        if not goes_on and last is not None and last.start_tick < start_tick < last.start_tick + last.period_ticks:
             self._early.append(start_tick)
         self._last = _Entered(start_tick, period_ticks, goes_on)
 

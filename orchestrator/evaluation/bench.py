@@ -75,7 +75,7 @@ async def bench_loop(
     began, first_ticks = time.perf_counter(), [session.state.tick for session in sessions]
     for number in range(rounds * characters):
         step, i = divmod(number, characters)
-        due_s = (number + 0.5 * float(rng.uniform())) * COMMAND_EVERY_S / characters  # at any phase of plans
+        due_s = (number + 0.2 * float(rng.uniform())) * COMMAND_EVERY_S / characters  # at any phase of plans
         await asyncio.sleep(max(0.0, due_s - (time.perf_counter() - began)))
         session, text = sessions[i], texts[(step + i) % len(texts)]
         if session.state.fallen:

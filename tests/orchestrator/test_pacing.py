@@ -33,6 +33,13 @@ def test_a_plan_that_only_goes_on_may_be_cut_off_at_once() -> None:
     assert pacer.start_tick(33, 3) == 33 + LEAST
 
 
+def test_a_plan_that_only_goes_on_is_never_early() -> None:
+    pacer = PlanPacer(LEAST)
+    for start in (0, 27, 54, 81):
+        pacer.entered(start, 30, goes_on=True)
+    assert pacer.start_tick(90, 3) == 93
+
+
 def test_no_one_waits_for_a_long_plan_to_end() -> None:
     pacer = PlanPacer(9)
     for start in (0, 12, 24, 36):
