@@ -80,7 +80,9 @@ def test_what_waits_for_a_disk_is_bounded_and_comes_to_it_whole(tmp_path: Path) 
         for meddle in (None, kill):
             arrays, events, most_bytes = asyncio.run(played(stack, tmp_path / f"{meddle}", True, meddle))
             kinds = [event.type for event in events]
-            assert kinds.count("recording_failed") >= 1 and kinds.count("recording_behind") == 1
+            assert kinds.count("recording_failed") >= 1 and kinds.count("recording_behind") >= 1
+            # Until the disk takes it, it is said once; with the tracker back the disk does, and may be late once more.
+            assert kinds.count("recording_behind") == 1 or meddle is kill
             assert ("tracker_back" in kinds) == (meddle is kill)
             # What is over the bound is at most what was asked for at once.
             assert MOST_MB * MEGABYTE <= most_bytes < MOST_MB * MEGABYTE + ASK_TICKS * TICK_BYTES
