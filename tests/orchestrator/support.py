@@ -19,7 +19,12 @@ from orchestrator.core.manager import Orchestrator
 from orchestrator.core.services import Services, connect
 from orchestrator.core.supervise import Say, ServiceProcess, Stack, StackOptions
 from orchestrator.store.database import SqliteStore
+from planner_service.service.service import PlannerService
+from planner_service.service.settings import PlannerSettings
+from shared.plugins.interfaces import Planner
+from shared.plugins.registry import PLANNERS, PluginRegistry
 
+FREE = "tcp://127.0.0.1:0"
 LIGHT = StackOptions(planner_plugin="stand", tracker_plugin="kinematic", planner_args=("--plugins", "stand"))
 """Without torch a planner is there in a second."""
 
@@ -49,6 +54,20 @@ def arrays_of(http: httpx.Client, episode_id: str) -> dict[str, bytes]:
         return {name: data[name].tobytes() for name in data.files}
 
 
+@contextlib.contextmanager
+def served(planner: Planner, data_dir: Path) -> Iterator[tuple[str, str]]:
+    """Endpoints of a planner of one's own, in this process under the name `stand`, and of a tracker."""
+    registry: PluginRegistry[Planner] = PluginRegistry(PLANNERS, {"stand": lambda: planner})
+    stack = Stack(light(data_dir))
+    stack.tracker.start()
+    try:
+        tracker = stack.tracker.wait_ready(60.0)
+        with PlannerService(PlannerSettings(endpoint=FREE), registry=registry) as service:
+            yield service.endpoint, tracker
+    finally:
+        stack.stop()
+
+
 async def orchestrator_on(stack: Stack, data_dir: Path, unwritten_mb: float = 256.0) -> Orchestrator:
     """An orchestrator in this process, on the planner and the tracker of a stack; to be closed."""
     tracker = await connect(stack.tracker.address, "tracker", timeout_s=60.0)
@@ -60,9 +79,6 @@ def arrays_in(recording: Path) -> dict[str, bytes]:
     """Every array of a recording as bytes."""
     with np.load(recording, allow_pickle=False) as data:
         return {name: data[name].tobytes() for name in data.files}
-
-
-FREE = "tcp://127.0.0.1:0"
 
 
 @contextlib.contextmanager

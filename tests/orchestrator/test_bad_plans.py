@@ -11,16 +11,11 @@ from orchestrator.core.drivers import BAD_PLANS_IN_A_ROW, LockstepDriver
 from orchestrator.core.loop import CharacterLoop
 from orchestrator.core.services import Services, connect
 from orchestrator.core.settings import LOCKSTEP
-from orchestrator.core.supervise import Stack
 from planner_service.builtin.stand import StandPlanner
-from planner_service.service.service import PlannerService
-from planner_service.service.settings import PlannerSettings
 from shared.errors import SimulationError
-from shared.plugins.interfaces import Planner
-from shared.plugins.registry import PLANNERS, PluginRegistry
 from shared.protocol.messages import CreateCharacter, Plan, PlanRequest, StateFrame
 from shared.tasks.interface import PlanGoal
-from tests.orchestrator.support import light
+from tests.orchestrator.support import served
 
 
 class Leaping:
@@ -65,18 +60,10 @@ async def drive(planner: str, tracker: str, cycles: int) -> list[int]:
 
 @pytest.mark.parametrize("bad", [1, BAD_PLANS_IN_A_ROW, BAD_PLANS_IN_A_ROW + 1])
 def test_bad_plans_are_passed_over_until_there_are_too_many(tmp_path: Path, bad: int) -> None:
-    planner: Planner = Leaping(bad)
-    registry: PluginRegistry[Planner] = PluginRegistry(PLANNERS, {"stand": lambda: planner})
-    stack = Stack(light(tmp_path))
-    stack.tracker.start()
-    try:
-        endpoint = stack.tracker.wait_ready(60.0)
-        with PlannerService(PlannerSettings(endpoint="tcp://127.0.0.1:0"), registry=registry) as service:
-            run = drive(service.endpoint, endpoint, bad + 2)
-            if bad > BAD_PLANS_IN_A_ROW:
-                with pytest.raises(SimulationError, match="gave a joint"):
-                    asyncio.run(run)
-            else:
-                assert asyncio.run(run) == [0, 15 * (bad + 1)]
-    finally:
-        stack.stop()
+    with served(Leaping(bad), tmp_path) as endpoints:
+        run = drive(*endpoints, bad + 2)
+        if bad > BAD_PLANS_IN_A_ROW:
+            with pytest.raises(SimulationError, match="gave a joint"):
+                asyncio.run(run)
+        else:
+            assert asyncio.run(run) == [0, 15 * (bad + 1)]

@@ -13,12 +13,8 @@ from orchestrator.core.events import EventLog
 from orchestrator.core.services import Services, connect
 from orchestrator.core.supervise import Stack
 from planner_service.builtin.stand import StandPlanner
-from planner_service.service.service import PlannerService
-from planner_service.service.settings import PlannerSettings
-from shared.plugins.interfaces import Planner
-from shared.plugins.registry import PLANNERS, PluginRegistry
 from shared.protocol.messages import Plan, PlanRequest
-from tests.orchestrator.support import light
+from tests.orchestrator.support import light, served
 
 GIVE_UP_S = 60.0
 
@@ -95,15 +91,6 @@ class Announcing:
 
 def test_what_only_goes_on_is_dropped_for_a_command(tmp_path: Path) -> None:
     asked = threading.Event()
-    planner: Planner = Announcing(asked)
-    registry: PluginRegistry[Planner] = PluginRegistry(PLANNERS, {"stand": lambda: planner})
-    stack = Stack(light(tmp_path))
-    stack.tracker.start()
-    try:
-        endpoint = stack.tracker.wait_ready(60.0)
-        with PlannerService(PlannerSettings(endpoint="tcp://127.0.0.1:0"), registry=registry) as service:
-            run = plans_after_a_command(service.endpoint, endpoint, asked)
-            planned = asyncio.run(asyncio.wait_for(run, GIVE_UP_S))
-    finally:
-        stack.stop()
+    with served(Announcing(asked), tmp_path) as endpoints:
+        planned = asyncio.run(asyncio.wait_for(plans_after_a_command(*endpoints, asked), GIVE_UP_S))
     assert planned[0] == "wave"

@@ -12,18 +12,13 @@ from orchestrator.core.character import CharacterSession, CharacterSpec
 from orchestrator.core.events import EventLog
 from orchestrator.core.lead import COSTS, MOST_TICKS, PlanLead, effort_of
 from orchestrator.core.services import Services, connect
-from orchestrator.core.supervise import Stack
 from planner_service.builtin.stand import StandPlanner
-from planner_service.service.service import PlannerService
-from planner_service.service.settings import PlannerSettings
-from shared.plugins.interfaces import Planner
-from shared.plugins.registry import PLANNERS, PluginRegistry
 from shared.protocol.messages import JointTarget, Plan, PlanRequest
 from shared.tasks.interface import PlanGoal
-from tests.orchestrator.support import light
+from tests.orchestrator.support import served
 
 PLAN_S = 0.9
-"""Over the first lead of 0.4 s and the 0.3 s by which a plan may be late."""
+"""Over the first lead of 0.3 s and the 0.3 s by which a plan may be late."""
 GIVE_UP_S = 120.0
 
 
@@ -97,14 +92,6 @@ async def entered(planner: str, tracker: str, plans: int) -> list[bool]:
 
 
 def test_plans_that_take_longer_than_their_lead_enter_all_the_same(tmp_path: Path) -> None:
-    planner: Planner = Slow()
-    registry: PluginRegistry[Planner] = PluginRegistry(PLANNERS, {"stand": lambda: planner})
-    stack = Stack(light(tmp_path))
-    stack.tracker.start()
-    try:
-        endpoint = stack.tracker.wait_ready(60.0)
-        with PlannerService(PlannerSettings(endpoint="tcp://127.0.0.1:0"), registry=registry) as service:
-            taken = asyncio.run(asyncio.wait_for(entered(service.endpoint, endpoint, 8), GIVE_UP_S))
-    finally:
-        stack.stop()
+    with served(Slow(), tmp_path) as endpoints:
+        taken = asyncio.run(asyncio.wait_for(entered(*endpoints, 8), GIVE_UP_S))
     assert sum(taken) >= 2

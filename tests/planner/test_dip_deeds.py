@@ -122,6 +122,13 @@ def test_a_wave_is_planned_for_as_it_is_and_the_widest_is_the_best() -> None:
         return motion
 
     assert waving(wave(0.08), "right") > waving(wave(0.02), "right") > waving(wave(0.08), "left")
+
+    def tried(prefix: np.ndarray) -> int:
+        asked = request("wave", prefix_positions_w_m=prefix.astype(np.float32))
+        return len(tries_of(asked, root_state(prefix[-1]), WAVE, "right"))
+
+    assert tried(wave(0.08)) == WAVE.kept  # it is waving already
+    assert tried(wave(0.0)) == WAVE.tries
     assert waving(wave(0.08), "") == waving(wave(0.08), "right")
     assert waving(wave(0.02), "right") > waving(wave(0.08, -0.3), "right")
 
