@@ -33,6 +33,7 @@ from planner_service.dip.weights import SHIPPED, DipWeights, load_weights
 from planner_service.dip.wishes import read_wishes
 from planner_service.text.encoder import CachedTextEncoder, TextEncoder, pad_tokens
 from planner_service.text.known import KnownSentences, Nearest
+from planner_service.text.meaning import MeaningHead
 from planner_service.text.pretrained import minilm
 from shared.errors import InvalidInputError, SimulationError
 from shared.motion.features import (
@@ -138,7 +139,9 @@ class DipPlanner:
     @classmethod
     def load(cls, path: Path | None = None, settings: DipSettings | None = None) -> DipPlanner:
         """With weights from a file (else the shipped ones) and MiniLM."""
-        return cls(load_weights(path or SHIPPED), minilm(), settings, KnownSentences.load())
+        encoder = minilm()
+        known = KnownSentences.load(head=MeaningHead.load(encoder.config, encoder.below))
+        return cls(load_weights(path or SHIPPED), encoder, settings, known)
 
     def read_text(self, text: str) -> TextRead:
         """The training sentence nearest to a text."""

@@ -68,13 +68,13 @@ class BertEncoder(nn.Module):
         self.norm = nn.LayerNorm(config.width, eps=config.eps)
         self.layers = nn.ModuleList(BertLayer(config) for _ in range(config.layers))
 
-    def forward(self, ids: Tensor, mask: Tensor) -> Tensor:
-        """ids (B, L) int64, mask (B, L) bool True where a token is -> (B, L, W)."""
+    def forward(self, ids: Tensor, mask: Tensor, without_last: int = 0) -> Tensor:
+        """ids (B, L) int64, mask (B, L) bool True where a token is -> (B, L, W), after all layers but the last few."""
         x = self.tokens(ids) + self.positions.weight[: ids.shape[1]]
         if self.types is not None:
             x = x + self.types.weight[0]
         x = self.norm(x)
-        for layer in self.layers:
+        for layer in self.layers[: len(self.layers) - without_last]:
             x = layer(x, mask[:, None, None, :])
         return x
 
@@ -129,7 +129,7 @@ def load_bert(tensors: Mapping[str, Tensor], config: BertConfig) -> BertEncoder:
     return model.eval().requires_grad_(False)
 
 
-def encode_ids(model: BertEncoder, ids: Tensor, mask: Tensor) -> Tensor:
+def encode_ids(model: BertEncoder, ids: Tensor, mask: Tensor, without_last: int = 0) -> Tensor:
     """`model` without gradients."""
     with torch.inference_mode():
-        return model(ids, mask)
+        return model(ids, mask, without_last)

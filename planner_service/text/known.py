@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -57,8 +56,8 @@ class KnownSentences:
         sentences: N of them.
         embeddings: (N, D), any length.
         encoder: name of the encoder that made them.
-        meanings: of each sentence one or more of the head's; texts are planned for as they are where there are none.
-        head: what a text means.
+        meanings: of each sentence one or more of the head's, or none.
+        head: what a text means; without it texts are planned for as they are.
     """
 
     def __init__(
@@ -72,7 +71,7 @@ class KnownSentences:
         self.sentences = sentences
         self.encoder = encoder
         self.head = head
-        self._meanings = tuple(tuple(each) for each in meanings)
+        self._meanings = tuple(tuple(each) for each in meanings) or ((),) * len(sentences)
         self._unit = _unit(np.asarray(embeddings, dtype=np.float32))
         self._of: Mapping[str, npt.NDArray[np.intp]] = {
             meaning: np.array([i for i, each in enumerate(self._meanings) if meaning in each])
@@ -80,34 +79,22 @@ class KnownSentences:
         }
 
     @classmethod
-    def load(cls, path: Path = SHIPPED_SENTENCES) -> KnownSentences:
+    def load(cls, path: Path = SHIPPED_SENTENCES, head: MeaningHead | None = None) -> KnownSentences:
         """From a file of `save`."""
         with np.load(path, allow_pickle=False) as data:
-            head = None
-            if "head_weights" in data:
-                names = tuple(str(name) for name in data["head_names"])
-                head = MeaningHead(names, *(data[f"head_{part}"].astype(np.float32) for part in ("weights", "bias")))
-            meanings = [str(each).split() for each in data["meanings"]] if "meanings" in data else ()
+            meanings = [str(each).split() for each in data["meanings"]]
             return cls(
                 tuple(str(s) for s in data["sentences"]), data["embeddings"], str(data["encoder"]), meanings, head
             )
 
     def save(self, path: Path) -> None:
-        """Write sentences, embeddings and the head (float16)."""
-        more: dict[str, Any] = {}
-        if self.head is not None:
-            more = {
-                "meanings": np.array([" ".join(each) for each in self._meanings]),
-                "head_names": np.array(self.head.names),
-                "head_weights": self.head.weights.astype(np.float16),
-                "head_bias": self.head.bias.astype(np.float16),
-            }
+        """Write sentences, their meanings and embeddings (float16)."""
         np.savez_compressed(
             path,
             sentences=np.array(self.sentences),
             embeddings=self._unit.astype(np.float16),
             encoder=np.array(self.encoder),
-            **more,
+            meanings=np.array([" ".join(each) for each in self._meanings]),
         )
 
     def nearest(self, text: str, encoder: TextEncoder) -> Nearest:
@@ -132,7 +119,7 @@ class KnownSentences:
         near = Nearest(self.sentences[best], similarity)
         if self.head is None:
             return near
-        meaning = self._on_foot(self.head, embedding, similarity) if near.far else self.head.most_likely(embedding)
+        meaning = self._on_foot(self.head, plain, similarity) if near.far else self.head.most_likely(plain)
         if meaning is None:
             return near
         taken_as = None
@@ -141,9 +128,9 @@ class KnownSentences:
         return Nearest(near.sentence, similarity, taken_as, meaning)
 
     @staticmethod
-    def _on_foot(head: MeaningHead, embedding: npt.NDArray[np.float32], similarity: float) -> str | None:
+    def _on_foot(head: MeaningHead, text: str, similarity: float) -> str | None:
         """Walking or running, where that is what the head finds likely in all its ways."""
-        shares = head.shares(embedding)
+        shares = head.shares(text)
         for way in ON_FOOT if similarity > ON_FOOT_ABOVE else ():
             ways = [name.partition(":")[0].partition("_")[0] == way for name in head.names]
             if float(shares[ways].sum()) >= ON_FOOT_LIKELY:

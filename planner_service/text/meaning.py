@@ -1,39 +1,108 @@
-"""What an unseen sentence means: a linear head on its embedding, fitted to all that is written in shared/data.
+"""What an unseen sentence means: MiniLM with its last layers fitted to all that is written in shared/data.
 
 A network that was shown a thousand sentences takes an unseen one for the nearest of them by its words, and is wrong in
-one of five ("someone is waving" is nearer to "someone walks forward waving" than to "wave at somebody"). A head that
-was fitted to many more sentences with their meanings knows which part of an embedding tells meanings apart.
+one of five ("someone is waving" is nearer to "someone walks forward waving" than to "wave at somebody"). Layers that
+were fitted to many more sentences with their meanings know which part of a sentence tells meanings apart; a linear head
+on the embedding that MiniLM was published for knows it half as well (docs/experiments_planner.md).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+from threading import Lock
 
 import numpy as np
 import numpy.typing as npt
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from planner_service.text.bert import BertConfig, BertLayer
 
 Floats = npt.NDArray[np.float32]
+Below = Callable[[str, int], Tensor]
+"""(1, L, W) what the layers before the last so many make of a text."""
+
+SHIPPED_MEANINGS = Path(__file__).resolve().parent.parent / "weights" / "meanings.safetensors"
+SHARPNESS = 20.0
+"""The pooled token has length 1; the linear layer is given this times it."""
+_REMEMBERED = 1024
 
 
-@dataclass(frozen=True)
-class MeaningHead:
-    """Multinomial logistic regression over meanings.
+class MeaningLayers(nn.Module):
+    """The last layers of a BERT, the mean over its tokens, and one number a meaning.
 
-    Attributes:
-        names: M meanings, an action of shared/data with its side where it has one, e.g. `kick:left`.
-        weights: (M, D), for embeddings of length 1. bias: (M,).
+    Args:
+        config: of the BERT. layers: how many there are. meanings: how many there are.
     """
 
-    names: tuple[str, ...]
-    weights: Floats
-    bias: Floats
+    def __init__(self, config: BertConfig, layers: int, meanings: int):
+        super().__init__()
+        self.layers = nn.ModuleList(BertLayer(config) for _ in range(layers))
+        self.head = nn.Linear(config.width, meanings)
 
-    def most_likely(self, embedding: Floats) -> str:
-        """The meaning of an embedding (D,) of length 1."""
-        return self.names[int(np.argmax(self.weights @ embedding + self.bias))]
+    def forward(self, x: Tensor, mask: Tensor, dropout: float = 0.0) -> Tensor:
+        """x (B, L, W), mask (B, L) True where a token is -> logits (B, M)."""
+        for layer in self.layers:
+            x = layer(x, mask[:, None, None, :])
+        kept = mask[..., None]
+        mean = F.normalize((x * kept).sum(1) / kept.sum(1), dim=-1)
+        logits: Tensor = self.head(F.dropout(mean, dropout, dropout > 0.0) * SHARPNESS)
+        return logits
 
-    def shares(self, embedding: Floats) -> Floats:
-        """(M,) how likely each meaning is."""
-        logits = self.weights @ embedding + self.bias
-        likely = np.exp(logits - logits.max())
-        return np.asarray(likely / likely.sum(), dtype=np.float32)
+
+class MeaningHead:
+    """Says how likely each meaning is for a text. Safe to share by threads.
+
+    Args:
+        names: M meanings, an action of shared/data with its side where it has one, e.g. `kick:left`.
+        layers: fitted (`planner_service.training.meanings`).
+        below: of the encoder that they were fitted to.
+    """
+
+    def __init__(self, names: tuple[str, ...], layers: MeaningLayers, below: Below):
+        self.names = names
+        self.layers = layers.eval().requires_grad_(False)
+        self._below = below
+        self._kept: OrderedDict[str, Floats] = OrderedDict()
+        self._lock = Lock()
+
+    @classmethod
+    def load(cls, config: BertConfig, below: Below, path: Path = SHIPPED_MEANINGS) -> MeaningHead:
+        """From a file of `save`."""
+        with safe_open(str(path), "pt") as file:
+            names = tuple(file.metadata()["names"].split())
+            state = {key: file.get_tensor(key).float() for key in file.keys()}  # noqa: SIM118 - not a mapping
+        count = len({key.split(".")[1] for key in state if key.startswith("layers.")})
+        layers = MeaningLayers(config, count, len(names))
+        layers.load_state_dict(state)
+        return cls(names, layers, below)
+
+    def save(self, path: Path) -> None:
+        """Write the layers (float16) and the names."""
+        save_file(
+            {k: v.half() for k, v in self.layers.state_dict().items()}, str(path), {"names": " ".join(self.names)}
+        )
+
+    def shares(self, text: str) -> Floats:
+        """(M,) how likely each meaning of a text is; they add up to 1."""
+        with self._lock:
+            if text in self._kept:
+                self._kept.move_to_end(text)
+                return self._kept[text]
+        x = self._below(text, len(self.layers.layers))
+        with torch.inference_mode():
+            found: Floats = self.layers(x, torch.ones(x.shape[:2], dtype=torch.bool)).softmax(-1)[0].numpy()
+        with self._lock:
+            self._kept[text] = found
+            while len(self._kept) > _REMEMBERED:
+                self._kept.popitem(last=False)
+        return found
+
+    def most_likely(self, text: str) -> str:
+        """The meaning of a text."""
+        return self.names[int(np.argmax(self.shares(text)))]

@@ -49,13 +49,13 @@ class PretrainedTextEncoder:
                     f"{folder / file} has sha256 {found}", field="text_encoder", allowed=f"sha256 {expected}"
                 )
         raw = json.loads((folder / "config.json").read_text())
-        config = _bert_config(raw)
-        self._model = load_bert(load_file(str(folder / "model.safetensors")), config)
+        self.config = _bert_config(raw)
+        self._model = load_bert(load_file(str(folder / "model.safetensors")), self.config)
         self._tokenizer = Tokenizer.from_file(str(folder / "tokenizer.json"))
         self._tokenizer.enable_truncation(max_tokens - 1)
         self._tokenizer.no_padding()
         weights = (sha256 or {}).get("model.safetensors") or file_sha256(folder / "model.safetensors")
-        self._spec = TextEncoderSpec(name, config.width, weights, max_tokens)
+        self._spec = TextEncoderSpec(name, self.config.width, weights, max_tokens)
 
     @property
     def spec(self) -> TextEncoderSpec:
@@ -69,10 +69,18 @@ class PretrainedTextEncoder:
         """
         result: list[FloatArray] = []
         for text in texts:
-            ids = torch.tensor([self._tokenizer.encode(text).ids])
-            tokens = encode_ids(self._model, ids, torch.ones_like(ids, dtype=torch.bool))[0].numpy()
+            tokens = self.below(text, 0)[0].numpy()
             result.append(np.concatenate([tokens.mean(0, keepdims=True), tokens]).astype(np.float32))
         return result
+
+    def last(self, layers: int) -> Sequence[torch.nn.Module]:
+        """The last so many layers."""
+        return list(self._model.layers)[len(self._model.layers) - layers :]
+
+    def below(self, text: str, layers: int) -> torch.Tensor:
+        """(1, L, W) what all but the last so many layers make of a text's tokens, with [CLS] and [SEP]."""
+        ids = torch.tensor([self._tokenizer.encode(text).ids])
+        return encode_ids(self._model, ids, torch.ones_like(ids, dtype=torch.bool), layers)
 
 
 def minilm() -> PretrainedTextEncoder:

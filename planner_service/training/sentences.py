@@ -1,7 +1,7 @@
 """Embed a corpus' sentences: `python -m planner_service.training.sentences --corpus DIR [--out FILE]`.
 
-Run with the corpus that the shipped weights were trained on: the file says which texts they have seen the like of. The
-head that tells what other texts mean is fitted to all sentences of shared/data, also those that came after the corpus.
+Run with the corpus that the shipped weights were trained on: the file says which texts they have seen the like of. What
+other texts mean is told by layers fitted to all sentences of shared/data (`planner_service.training.meanings`).
 """
 
 from __future__ import annotations
@@ -11,33 +11,16 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import numpy.typing as npt
 import torch
 import typer
-from sklearn.linear_model import LogisticRegression
 
 from planner_service.text.encoder import TextEncoder
 from planner_service.text.known import SHIPPED_SENTENCES, KnownSentences
-from planner_service.text.meaning import Floats, MeaningHead
 from planner_service.text.pretrained import minilm
 from shared.console import errors_for_people
 from shared.data.corpus import Corpus
 from shared.data.texts import SENTENCES, clean
-
-
-def fit(embeddings: Floats, meanings: Sequence[str], inverse_penalty: float = 100.0) -> MeaningHead:
-    """The head of sentences with their meanings, every meaning counting the same.
-
-    Args:
-        embeddings: (N, D) of length 1. meanings: N of them, at least two different.
-        inverse_penalty: of the weights' squares; 30 to 300 are as good (three-fold: .881, .885, .881).
-    """
-    names = sorted(set(meanings))
-    rows = np.array([names.index(meaning) for meaning in meanings])
-    model = LogisticRegression(C=inverse_penalty, max_iter=400, class_weight="balanced").fit(embeddings, rows)
-    weights, bias = (np.asarray(x, dtype=np.float32) for x in (model.coef_, model.intercept_))
-    if len(names) == 2:  # it keeps one row then
-        weights, bias = np.concatenate([-weights, weights]), np.concatenate([-bias, bias])
-    return MeaningHead(tuple(names), weights, bias)
 
 
 def meanings_of_sentences() -> dict[str, list[str]]:
@@ -51,26 +34,18 @@ def meanings_of_sentences() -> dict[str, list[str]]:
     return {sentence: sorted(set(meanings)) for sentence, meanings in out.items()}
 
 
-def pooled(texts: Sequence[str], encoder: TextEncoder) -> Floats:
+def pooled(texts: Sequence[str], encoder: TextEncoder) -> npt.NDArray[np.float32]:
     """(N, D) pooled tokens of length 1."""
     rows = np.stack([features[0] for features in encoder.encode(texts)])
     return np.asarray(rows / np.linalg.norm(rows, axis=-1, keepdims=True), dtype=np.float32)
 
 
-def fitted_head(encoder: TextEncoder) -> MeaningHead:
-    """The head of all written sentences; one with two meanings counts for both."""
-    meanings = meanings_of_sentences()
-    rows = pooled(list(meanings), encoder)
-    pairs = [(row, meaning) for row, each in zip(rows, meanings.values(), strict=True) for meaning in each]
-    return fit(np.stack([row for row, _ in pairs]), [meaning for _, meaning in pairs])
-
-
-def embed(corpus: Corpus, encoder: TextEncoder, head: MeaningHead | None = None) -> KnownSentences:
+def embed(corpus: Corpus, encoder: TextEncoder) -> KnownSentences:
     """The distinct sentences of the training split, sorted, with their pooled token and what they mean."""
     found = sorted(set(clean(text for i in corpus.select(split="train") for text in corpus.clips[i].texts)))
     known = meanings_of_sentences()
-    meanings = [known.get(sentence, []) for sentence in found] if head is not None else ()
-    return KnownSentences(tuple(found), pooled(found, encoder), encoder.spec.name, meanings, head)
+    meanings = [known.get(sentence, []) for sentence in found]
+    return KnownSentences(tuple(found), pooled(found, encoder), encoder.spec.name, meanings)
 
 
 def main(
@@ -81,7 +56,7 @@ def main(
     torch.set_num_threads(1)
     with errors_for_people():
         encoder = minilm()
-        known = embed(Corpus.load(corpus), encoder, fitted_head(encoder))
+        known = embed(Corpus.load(corpus), encoder)
     known.save(out)
     typer.echo(f"{len(known.sentences)} sentences -> {out}")
 
