@@ -19,12 +19,8 @@ from planner_service.text.meaning import MeaningHead
 from shared.errors import InvalidInputError
 
 SHIPPED_SENTENCES = Path(__file__).resolve().parent.parent / "weights" / "sentences.npz"
-FAR_BELOW = 0.52
-"""A cosine below this is far: most paraphrases of what is trained lie above 0.55, most other activities below 0.45
-(`tests/planner/test_known_sentences.py` has both)."""
-ON_FOOT, ON_FOOT_ABOVE, ON_FOOT_LIKELY = ("walk", "run"), 0.4, 0.75
-"""Ways are gone in so many places that sentences of them are far from all others: one that is at least so near and so
-likely (over all meanings of walking, or of running) is a walk or a run all the same."""
+UNLIKE_BELOW = 0.4
+"""A text with a cosine below this is about something else, whatever it is taken to mean."""
 SAME_ABOVE = 0.9
 """A cosine above this is a trained sentence in other words: such a text is planned for as it is."""
 
@@ -34,19 +30,16 @@ class Nearest:
     """A training sentence and the cosine (at most 1) of its embedding with the text's.
 
     Attributes:
+        far: whether the text is about something else than all that was trained.
         taken_as: the training sentence that is planned for in place of the text; None where that is the text itself.
         meaning: of the text, a name of the head's; None without a head or where the text is far.
     """
 
     sentence: str
     similarity: float
+    far: bool = False
     taken_as: str | None = None
     meaning: str | None = None
-
-    @property
-    def far(self) -> bool:
-        """Whether the text is unlike all that was trained."""
-        return self.taken_as is None and self.similarity < FAR_BELOW
 
 
 class KnownSentences:
@@ -57,7 +50,7 @@ class KnownSentences:
         embeddings: (N, D), any length.
         encoder: name of the encoder that made them.
         meanings: of each sentence one or more of the head's, or none.
-        head: what a text means; without it texts are planned for as they are.
+        head: what a text means; without it texts are planned for as they are, and none is far.
     """
 
     def __init__(
@@ -116,26 +109,14 @@ class KnownSentences:
         cosines = self._unit @ embedding
         best = int(np.argmax(cosines))
         similarity = float(min(cosines[best], 1.0))
-        near = Nearest(self.sentences[best], similarity)
         if self.head is None:
-            return near
-        meaning = self._on_foot(self.head, plain, similarity) if near.far else self.head.most_likely(plain)
-        if meaning is None:
-            return near
+            return Nearest(self.sentences[best], similarity)
+        meaning = self.head.most_likely(plain) if similarity >= UNLIKE_BELOW else None
+        said = similarity >= SAME_ABOVE
         taken_as = None
-        if similarity < SAME_ABOVE and (same := self._of.get(meaning)) is not None:
+        if not said and meaning is not None and (same := self._of.get(meaning)) is not None:
             taken_as = self.sentences[int(same[np.argmax(cosines[same])])]
-        return Nearest(near.sentence, similarity, taken_as, meaning)
-
-    @staticmethod
-    def _on_foot(head: MeaningHead, text: str, similarity: float) -> str | None:
-        """Walking or running, where that is what the head finds likely in all its ways."""
-        shares = head.shares(text)
-        for way in ON_FOOT if similarity > ON_FOOT_ABOVE else ():
-            ways = [name.partition(":")[0].partition("_")[0] == way for name in head.names]
-            if float(shares[ways].sum()) >= ON_FOOT_LIKELY:
-                return way
-        return None
+        return Nearest(self.sentences[best], similarity, not said and meaning is None, taken_as, meaning)
 
 
 def _unit(rows: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:

@@ -34,7 +34,7 @@ _REMEMBERED = 1024
 
 
 class MeaningLayers(nn.Module):
-    """The last layers of a BERT, the mean over its tokens, and one number a meaning.
+    """The last layers of a BERT, the mean over its tokens, one number a meaning, and one for anything else.
 
     Args:
         config: of the BERT. layers: how many there are. meanings: how many there are.
@@ -43,10 +43,10 @@ class MeaningLayers(nn.Module):
     def __init__(self, config: BertConfig, layers: int, meanings: int):
         super().__init__()
         self.layers = nn.ModuleList(BertLayer(config) for _ in range(layers))
-        self.head = nn.Linear(config.width, meanings)
+        self.head = nn.Linear(config.width, meanings + 1)
 
     def forward(self, x: Tensor, mask: Tensor, dropout: float = 0.0) -> Tensor:
-        """x (B, L, W), mask (B, L) True where a token is -> logits (B, M)."""
+        """x (B, L, W), mask (B, L) True where a token is -> logits (B, M + 1)."""
         for layer in self.layers:
             x = layer(x, mask[:, None, None, :])
         kept = mask[..., None]
@@ -89,7 +89,7 @@ class MeaningHead:
         )
 
     def shares(self, text: str) -> Floats:
-        """(M,) how likely each meaning of a text is; they add up to 1."""
+        """(M + 1,) how likely each meaning of a text is, and last that it is about something else; they add up to 1."""
         with self._lock:
             if text in self._kept:
                 self._kept.move_to_end(text)
@@ -103,6 +103,7 @@ class MeaningHead:
                 self._kept.popitem(last=False)
         return found
 
-    def most_likely(self, text: str) -> str:
-        """The meaning of a text."""
-        return self.names[int(np.argmax(self.shares(text)))]
+    def most_likely(self, text: str) -> str | None:
+        """The meaning of a text; None where it is about something else."""
+        best = int(np.argmax(self.shares(text)))
+        return self.names[best] if best < len(self.names) else None

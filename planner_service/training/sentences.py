@@ -23,7 +23,7 @@ from shared.data.corpus import Corpus
 from shared.data.texts import SENTENCES, clean
 
 
-def meanings_of_sentences() -> dict[str, list[str]]:
+def meanings_of_sentences() -> dict[str, Sequence[str]]:
     """What each written sentence means, `ACTION` or `ACTION:SIDE`; some mean more than one thing."""
     out: dict[str, list[str]] = {}
     for action, written in SENTENCES.items():
@@ -31,7 +31,7 @@ def meanings_of_sentences() -> dict[str, list[str]]:
             for side in ("left", "right") if "{s}" in sentence else ("",):
                 (plain,) = clean([sentence.replace("{s}", side)])
                 out.setdefault(plain, []).append(f"{action}:{side}" if side else action)
-    return {sentence: sorted(set(meanings)) for sentence, meanings in out.items()}
+    return {sentence: tuple(sorted(set(meanings))) for sentence, meanings in out.items()}
 
 
 def pooled(texts: Sequence[str], encoder: TextEncoder) -> npt.NDArray[np.float32]:
@@ -44,7 +44,7 @@ def embed(corpus: Corpus, encoder: TextEncoder) -> KnownSentences:
     """The distinct sentences of the training split, sorted, with their pooled token and what they mean."""
     found = sorted(set(clean(text for i in corpus.select(split="train") for text in corpus.clips[i].texts)))
     known = meanings_of_sentences()
-    meanings = [known.get(sentence, []) for sentence in found]
+    meanings = [known.get(sentence, ()) for sentence in found]
     return KnownSentences(tuple(found), pooled(found, encoder), encoder.spec.name, meanings)
 
 

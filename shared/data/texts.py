@@ -26,6 +26,9 @@ SENTENCES = _read("sentences.yaml")
 PARAPHRASES = _read("paraphrases.yaml")
 """Sentences that no clip carries, of many of the actions: held out to measure what unseen words do."""
 
+OUT_OF_SCOPE = tuple(text for texts in _read("out_of_scope.yaml").values() for text in texts)
+"""Texts that ask for nothing that the corpus shows."""
+
 _NO_MOTION = re.compile(r"<|>|https?:|www\.|\.com\b", re.IGNORECASE)
 
 

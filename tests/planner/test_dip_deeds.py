@@ -8,7 +8,8 @@ import torch
 
 from planner_service.dip.deeds import DEEDS, KICK, PUNCH, WAVE, deed_of, kicking, punching, ranked, tries_of, waving
 from planner_service.dip.planner import DipPlanner
-from planner_service.text.known import KnownSentences
+from planner_service.text.meaning import MeaningHead
+from planner_service.text.pretrained import minilm
 from planner_service.training.rollout import Rollout
 from shared.data.texts import SENTENCES
 from shared.motion.features import root_state
@@ -44,9 +45,9 @@ def request(text: str, **more: object) -> PlanRequest:
 
 
 def test_every_deed_is_of_something_that_the_head_tells_apart_and_its_plans_are_held() -> None:
-    known = KnownSentences.load()
-    assert known.head is not None
-    assert set(DEEDS) <= {name.partition(":")[0] for name in known.head.names}
+    encoder = minilm()
+    head = MeaningHead.load(encoder.config, encoder.below)
+    assert set(DEEDS) <= {name.partition(":")[0] for name in head.names}
     blows = [text for action, deed in DEEDS.items() if deed.lands is not None for text in SENTENCES[action]]
     held = [text for text in blows if holds_ticks(text) == BLOW_TICKS]
     assert len(held) > 0.85 * len(blows)  # what is taken for a trained sentence is held as that one is

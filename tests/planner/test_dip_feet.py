@@ -60,3 +60,21 @@ def test_toes_are_put_where_they_are_wanted_and_the_other_foot_stays() -> None:
     assert np.linalg.norm(put.positions_w_m[21, toe] - wanted[22, toe]) < 0.02
     np.testing.assert_allclose(put.positions_w_m[:, other], plain.positions_w_m[:, other], atol=1e-6)
     np.testing.assert_allclose(put.positions_w_m[5, toe], plain.positions_w_m[5, toe], atol=1e-6)
+
+
+def test_toes_stay_where_they_stand_while_the_heel_rises() -> None:
+    hip_low = STANDING.copy()
+    hip_low[..., 2] -= 0.08
+    ankle, toe = CANONICAL.indices("left_ankle", "left_foot")
+    feet = CANONICAL.indices("left_ankle", "right_ankle", "left_foot", "right_foot")
+    hip_low[:, feet, 2] = STANDING[:, feet, 2]
+    rise = np.linspace(0.0, 0.03, 41)[:, None]
+    hip_low[:, ankle] += rise * [1.0, 0.0, 1.0]
+    hip_low[:, toe] += rise * [1.0, 0.0, 0.0]  # creeps on
+    contacts = np.zeros((41, 4))
+    free = with_planted_feet(hip_low, contacts, 20.0).positions_w_m
+    contacts[:, 1] = 1.0  # the left toes
+    kept = with_planted_feet(hip_low, contacts, 20.0).positions_w_m
+    assert np.ptp(free[:, toe, 0]) > 0.015
+    assert np.ptp(kept[:, toe, 0]) < 0.005
+    assert kept[-1, ankle, 2] > STANDING[0, ankle, 2] + 0.025  # the heel is up all the same

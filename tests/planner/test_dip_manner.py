@@ -9,7 +9,8 @@ import torch
 from planner_service.dip.effort import EASIER_GUIDANCE
 from planner_service.dip.manner import ARMS, FIRM, MANNERS, Manner, manner_of, swung
 from planner_service.dip.planner import DipPlanner
-from planner_service.text.known import KnownSentences
+from planner_service.text.meaning import MeaningHead
+from planner_service.text.pretrained import minilm
 from planner_service.training.rollout import Rollout
 from shared.data.texts import SENTENCES
 from shared.motion.features import FEATURES, JOINT_POSITIONS, JOINT_VELOCITIES
@@ -29,8 +30,8 @@ def planner() -> DipPlanner:
 
 
 def test_every_manner_is_of_something_that_the_head_tells_apart() -> None:
-    head = KnownSentences.load().head
-    assert head is not None
+    encoder = minilm()
+    head = MeaningHead.load(encoder.config, encoder.below)
     assert set(MANNERS) <= {name.partition(":")[0] for name in head.names} <= set(SENTENCES)
     assert manner_of("step_side:left", USUAL) == FIRM
     assert manner_of("walk", USUAL) == manner_of(None, USUAL) == USUAL

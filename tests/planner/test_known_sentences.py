@@ -7,13 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("torch")
+torch = pytest.importorskip("torch")
 
 from planner_service.text.encoder import TextEncoder
 from planner_service.text.known import KnownSentences
-from planner_service.text.pretrained import minilm
-from planner_service.training.sentences import fit, meanings_of_sentences
-from shared.data.texts import PARAPHRASES, sentences
+from planner_service.text.meaning import MeaningHead
+from planner_service.text.pretrained import PretrainedTextEncoder, minilm
+from planner_service.training.meanings import Told, fit, told_right
+from planner_service.training.sentences import meanings_of_sentences, pooled
+from shared.data.texts import OUT_OF_SCOPE, PARAPHRASES, clean, sentences
 
 NEAR = """walk forward | a person is walking. | somebody jogs | sprint | make a left turn | leap into the air
 stand idle | a guy is waving his left arm | person running fast | someone dashes ahead | stroll along
@@ -27,18 +29,22 @@ def lines(text: str) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def encoder() -> TextEncoder:
+def encoder() -> PretrainedTextEncoder:
+    torch.set_num_threads(1)
     return minilm()
 
 
 @pytest.fixture(scope="module")
-def known() -> KnownSentences:
-    return KnownSentences.load()
+def known(encoder: PretrainedTextEncoder) -> KnownSentences:
+    return KnownSentences.load(head=MeaningHead.load(encoder.config, encoder.below))
 
 
 def test_paraphrases_are_near_and_other_activities_far(known: KnownSentences, encoder: TextEncoder) -> None:
     assert [text for text in lines(NEAR) if known.nearest(text, encoder).far] == []
     assert [text for text in lines(FAR) if not known.nearest(text, encoder).far] == []
+    shown = set(clean(OUT_OF_SCOPE))
+    assert not shown & set(clean([*lines(NEAR), *lines(FAR)]))
+    assert not shown & {text for written in PARAPHRASES.values() for text in clean(written)}
 
 
 def test_ways_on_foot_are_known_wherever_they_lead(known: KnownSentences, encoder: TextEncoder) -> None:
@@ -88,14 +94,25 @@ def test_neither_a_known_sentence_nor_nonsense_is_taken_for_another(
     assert left and right and "left" in left and "right" in right
 
 
-def test_a_head_of_two_meanings_tells_them_apart_saved_and_loaded_too(encoder: TextEncoder, tmp_path: Path) -> None:
-    texts = ("walk forward", "a person walks", "run fast", "a person runs")
-    rows = np.stack([f[0] for f in encoder.encode(list(texts))])
-    rows /= np.linalg.norm(rows, axis=-1, keepdims=True)
-    meanings = ("walk", "walk", "run", "run")
-    made = KnownSentences(texts, rows, encoder.spec.name, [(m,) for m in meanings], fit(rows, meanings))
-    made.save(tmp_path / "few.npz")
-    loaded = KnownSentences.load(tmp_path / "few.npz")
-    for known in (made, loaded):
-        taken = known.nearest("somebody is sprinting really quickly", encoder).taken_as
-        assert taken is not None and "run" in taken
+def test_layers_fitted_to_few_sentences_tell_others_of_two_meanings_saved_and_loaded_too(
+    encoder: PretrainedTextEncoder, tmp_path: Path
+) -> None:
+    few = {text: (action,) for action in ("run", "sit_down") for text in clean(sentences(action)[:80])}
+    told = Told.of({**few, **dict.fromkeys(clean(OUT_OF_SCOPE[:80]), ())}, encoder)
+    shown, others = np.arange(len(told.meant))[::2], np.arange(len(told.meant))[1::2]
+    layers = fit(told, encoder, shown, seed=0)
+    assert told_right(layers, told, others).mean() > 0.9
+    again = fit(told, encoder, shown, seed=0)
+    assert all(torch.equal(a, b) for a, b in zip(layers.parameters(), again.parameters(), strict=True))
+    made = MeaningHead(told.names, layers, encoder.below)
+    made.save(tmp_path / "few.safetensors")
+    loaded = MeaningHead.load(encoder.config, encoder.below, tmp_path / "few.safetensors")
+    assert loaded.names == made.names == ("run", "sit_down")
+    for text, meaning in (("he sprints off", "run"), ("take a seat", "sit_down"), ("a dish of lentils", None)):
+        np.testing.assert_allclose(loaded.shares(text), made.shares(text), atol=0.01)
+        assert loaded.most_likely(text) == made.most_likely(text) == meaning
+        assert loaded.shares(text) is loaded.shares(text)  # kept
+    rows = pooled(list(few), encoder)
+    known = KnownSentences(tuple(few), rows, encoder.spec.name, list(few.values()), loaded)
+    taken = known.nearest("somebody is sprinting really quickly", encoder).taken_as
+    assert taken is not None and few[taken] == ("run",)
