@@ -326,14 +326,14 @@ class GetUpTask(Task):
 
     def _low_in(self, trace: Trace) -> bool:
         """Whether the body of a trace was low, or on the seat: what an open loop takes for true need not be."""
-        least_m = LOW_SHARE * self._spec.height_m * self._scale
-        low = trace.pos_w_m[:, PELVIS, 2] < least_m
-        if self._seat is not None and trace.world is not None:
-            along, across, above = self._seat.local_m(trace.world, trace.pos_w_m[:, PELVIS]).T
-            half = self._seat.half_size_m
-            over = (np.abs(along) <= half[0]) & (np.abs(across) <= half[1])
-            low |= over & (above < (SitSpec().above_m + SEATED_M) * self._scale)
-        return bool(low.any())
+        low = trace.pos_w_m[:, PELVIS, 2] < LOW_SHARE * self._spec.height_m * self._scale
+        if self._seat is None:
+            return bool(low.any())
+        if trace.world is None:
+            return True
+        along, across, above = self._seat.local_m(trace.world, trace.pos_w_m[:, PELVIS]).T
+        over = (np.abs(along) <= self._seat.half_size_m[0]) & (np.abs(across) <= self._seat.half_size_m[1])
+        return bool((low | (over & (above < (SitSpec().above_m + SEATED_M) * self._scale))).any())
 
     def _outcome(self, trace: Trace) -> object_rules.Outcome:
         """Of the rise alone, where sitting down came before it."""
