@@ -124,7 +124,12 @@ class Performing:
         )
 
     def result(self, verdict: Verdict, name: str | None, stop_tick: int, reason: str | None) -> TaskResult:
-        """How it went; `reason` says why it did not succeed."""
+        """How it went; `reason` says why it did not succeed. In an open loop it has one measure more, `off_plan_m`: the
+        mean distance of the pelvis from where it was planned."""
+        measures = dict(verdict.measures)
+        if self._planned is not None and len(self.seen):
+            off_m = (self.seen.trace().pos_w_m - self._told.trace().pos_w_m)[:, 0]
+            measures["off_plan_m"] = float(np.linalg.norm(off_m, axis=-1).mean())
         return TaskResult(
             index=self.index,
             name=name or self.task.label,
@@ -138,7 +143,7 @@ class Performing:
             start_tick=self.begin_tick,
             stop_tick=stop_tick,
             reason=reason,
-            measures={name: round(value, 4) for name, value in verdict.measures.items()},
+            measures={name: round(value, 4) for name, value in measures.items()},
         )
 
 

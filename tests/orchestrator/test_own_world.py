@@ -107,8 +107,10 @@ def test_where_it_goes_comes_from_the_plan_and_success_from_the_body(stack: Stac
     asked, outcome = performed(stack, "open_loop", 0.0)
     assert np.frombuffer(asked[3][2], dtype="<f4").reshape(-1, 22, 3)[-1, 0, 0] > 1.2, "the plan went on"
     assert not outcome.success
+    assert outcome.results[0].measures["off_plan_m"] > 0.3
     _, followed = performed(stack, "open_loop", 0.0, tracker="kinematic")
     assert followed.results[0].seconds < 2.0, "the same plan, performed to the letter, gets near"
+    assert followed.results[0].measures["off_plan_m"] < 0.01
 
 
 def test_what_was_planned_at_a_tick_stays_when_a_later_plan_comes() -> None:
