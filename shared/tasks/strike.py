@@ -344,14 +344,16 @@ class StrikeTask(Task):
         return "done" if blow.outcome.met_tick is not None else "failed"
 
     def _imagined(self, trace: Trace) -> Status:
-        """By what is planned alone: what the limb is in was hit; what the pelvis is in after that was pushed over."""
+        """By what is planned alone: what the limb is in was hit; what the pelvis has gone through after that was pushed
+        over."""
         solid, now = self._solid(), trace.start_tick + len(trace) - 1
         if solid is not None and self._lands_tick is not None:
             struck = trace.since(self._blow_tick).pos_w_m
             self._felt |= is_in(struck, self._scale, solid, TIPS[self._spec.limb])
             if self._over_tick is None and self._hit_tick is not None:
                 pushed = trace.since(self._hit_tick).pos_w_m
-                self._over_tick = now if is_in(pushed, self._scale, solid, ("pelvis",)) else None
+                was, still = (is_in(part, self._scale, solid, ("pelvis",)) for part in (pushed, pushed[-1:]))
+                self._over_tick = now if was and not still else None
         over = self._over_tick is not None and now - self._over_tick >= FALLS_S * TICK_HZ
         return "done" if over else "running"
 

@@ -12,7 +12,7 @@ from shared.motion.skeleton import CANONICAL
 from shared.scenes.files import load_scene
 from shared.scenes.placing import pose_of
 from shared.tasks.factory import make_task
-from shared.tasks.interface import BodyView, Trace
+from shared.tasks.interface import BodyView, Trace, joined
 from shared.tasks.object_specs import GetUpSpec, StrikeSpec
 from shared.tasks.world import unfelt
 from shared.text.wording import STAND_TEXT
@@ -47,12 +47,15 @@ def test_where_nothing_is_felt_what_the_plan_goes_through_was_hit_and_goes_down(
     assert "walking forward" in str(task.goal(view("bag", 1.15, tick=30), 30).text)
     assert task.status(planned(31, 1.6, 0.4)) == "running"
     assert "walking forward" in str(task.goal(view("bag", 1.6, tick=45), 45).text), "the pelvis is not there yet"
-    assert task.status(planned(46, 1.75, 0.4)) == "running"
-    back = task.goal(view("bag", 1.75, tick=60), 60)
+    within, through = planned(46, 2.0, 0.4), planned(61, 2.35, 0.4)
+    assert task.status(within) == "running"
+    assert "walking forward" in str(task.goal(view("bag", 2.0, tick=60), 60).text), "nor through"
+    assert task.status(joined([within, through])) == "running"
+    back = task.goal(view("bag", 2.35, tick=75), 75)
     assert back.text == STAND_TEXT
-    assert back.targets[0].position_w_m[0] == pytest.approx(1.75 - 0.35, abs=0.01)
-    assert task.status(planned(61, 1.4, 0.2, ticks=59)) == "running"
-    assert task.status(planned(61, 1.4, 0.2, ticks=60)) == "done", "two seconds in which it falls"
+    assert back.targets[0].position_w_m[0] == pytest.approx(2.35 - 0.35, abs=0.01)
+    assert task.status(joined([within, through, planned(76, 2.0, 0.2, ticks=59)])) == "running"
+    assert task.status(joined([within, through, planned(76, 2.0, 0.2, ticks=60)])) == "done", "it had time to fall"
     assert not task.judge(planned(1, 1.75, 0.4)).strict, "no bag went down"
 
 
