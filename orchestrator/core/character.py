@@ -15,6 +15,7 @@ from orchestrator.core.events import EventLog
 from orchestrator.core.fanout import Fanout
 from orchestrator.core.loop import CharacterLoop, view_of
 from orchestrator.core.on_fall import Down, OnFall, get_up_goal
+from orchestrator.core.own_world import as_planned
 from orchestrator.core.reading import NearestSentences, read_command
 from orchestrator.core.scenes import SceneChoice, name_of
 from orchestrator.core.services import Services
@@ -126,7 +127,7 @@ class CharacterSession:
         """What the newest command asks for: it may have come while a cycle was already under way."""
         if self._on_fall == "get_up" and self._down.update(view):
             return get_up_goal()
-        return self._source(view, plan_tick)
+        return self._source(as_planned(view, self.loop.planned), plan_tick)
 
     @property
     def _on_fall(self) -> OnFall:

@@ -134,7 +134,9 @@ class EpisodeRunner:
         if (doing := state.performing) is not None:
             task, scene = self._agenda.make(doing.index), self.session.choose_scene()
             since = trace.since(doing.begin_tick)
-            self._running = Performing.again(doing, task, since, self.spec.character, scene)
+            loop = self.session.loop
+            loop.remember(kept.loop, kept.planned_w_m)
+            self._running = Performing.again(doing, task, since, self.spec.character, scene, loop.planned)
         self._resume_from = kept
         self._at_kept = state, self._running
 
@@ -250,7 +252,7 @@ class EpisodeRunner:
             self.events.emit("planner_lost", state.tick, reason=cycle.planner_error)
             return Signal.PLANNER_LOST
         if phase is Phase.ACTING and running is not None and trace is not None:
-            status = running.task.status(trace)
+            status = running.status()
             if status != "running":
                 return Signal.TASK_DONE if status == "done" else Signal.TASK_FAILED
         elapsed = state.tick - self._machine.entered_tick
@@ -296,7 +298,7 @@ class EpisodeRunner:
             self.session.show(state)
             view = replace(view_of(state), scene=self.session.scene)
             self.events.emit("object_set", state.tick, name=move.name)
-        self._running = Performing(index, task, view)
+        self._running = Performing(index, task, view, self.session.loop.planned)
         self.session.replan_now()
         self.events.emit("task_begin", state.tick, index=index, task=task.kind, label=task.label)
 

@@ -15,13 +15,13 @@ from orchestrator.core.asking import keyframe_arrays, obstacle_arrays
 from orchestrator.core.chain import chained, following
 from orchestrator.core.home import Home
 from orchestrator.core.keepsake import LoopState
+from orchestrator.core.own_world import KEPT_FRAMES, Planned, planned_at, planned_prefix
 from orchestrator.core.services import Reply, Services
 from orchestrator.core.settings import LoopSettings
 from orchestrator.core.stitch import PlanBuffer, build_prefix, log_window, since
 from shared.errors import InvalidInputError, MalformedMessageError, UnavailableError
 from shared.motion.characters import build
 from shared.motion.ik import clip_from_positions
-from shared.motion.resampling import finite_velocity
 from shared.motion.skeleton import CANONICAL
 from shared.plugins.checks import planner_spec
 from shared.plugins.interfaces import PlannerSpec
@@ -174,6 +174,12 @@ class CharacterLoop:
         self._since_tick = state.tick
         return state
 
+    @property
+    def planned(self) -> Planned | None:
+        """What an open loop takes the body to have done; None in a closed loop, which looks."""
+        open_loop = self.settings.mode == "open_loop"
+        return (lambda start, stop: planned_at(self._buffer, start, stop)) if open_loop else None
+
     def remembered(self) -> tuple[LoopState, npt.NDArray[np.float64]]:
         """What it knows and what is planned, for `remember`."""
         buffer = self._buffer
@@ -296,17 +302,16 @@ class CharacterLoop:
         with traced(self.trace_id):
             reply = await self.ask_tracker(TrackReply, track)
         if reply.accepted:
-            if plan.fps != self._buffer.fps:
-                self._buffer = self._buffer.at_rate(plan.fps)
-            self._buffer.put(frame_of_tick(plan.start_tick, plan.fps) + 1, plan.positions_w_m)
+            self._buffer = self._buffer.at_rate(plan.fps)
+            first = frame_of_tick(plan.start_tick, plan.fps) + 1
+            self._buffer.put(first, plan.positions_w_m, KEPT_FRAMES[self.settings.mode])
             self.last_plan, self.has_plan = plan, True
             for heard in self.on_plan:
                 heard(plan)
         return reply
 
     async def _request(self, spec: PlannerSpec, goal: PlanGoal, now_tick: int, start_tick: int) -> PlanRequest:
-        if self._buffer.fps != spec.fps:
-            self._buffer = self._buffer.at_rate(spec.fps)
+        self._buffer = self._buffer.at_rate(spec.fps)
         window = log_window(now_tick, spec.prefix_frames, spec.fps)
         now_frame = window.last_frame
         log = await self.ticks(window.start_tick, window.stop_tick, spec.fps)
@@ -315,12 +320,7 @@ class CharacterLoop:
             window.rows(log.body_pos_w_m), window.rows(log.body_linvel_w_mps), now_frame, since_frame
         )
         if self.settings.mode == "open_loop":
-            oldest = now_frame - len(simulated) + 1
-            if self._buffer.has(oldest):
-                simulated = self._buffer.get(oldest, now_frame + 1)
-                velocities = finite_velocity(simulated, spec.fps)
-            elif not self._buffer.has(now_frame):
-                self._buffer.put(oldest, simulated)
+            simulated, velocities = planned_prefix(self._buffer, simulated, velocities, now_frame)
         prefix = build_prefix(
             simulated, velocities, now_frame, frame_of_tick(start_tick, spec.fps), self._buffer, spec.prefix_frames,
             self.settings.error_decay_s,

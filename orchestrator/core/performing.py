@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from orchestrator.core.own_world import Planned, as_planned, trace_as_planned
 from orchestrator.rest import TaskResult
 from shared.motion.characters import build
 from shared.protocol.messages import SetObject
 from shared.scenes.schema import Scene
 from shared.tasks.growing import GrowingTrace
-from shared.tasks.interface import BodyView, PlanGoal, Task, Trace, Verdict
+from shared.tasks.interface import BodyView, PlanGoal, Status, Task, Trace, Verdict
 from shared.tasks.rules import leaning, with_falls
 
 
@@ -36,19 +37,26 @@ class Performing:
         index: in the episode.
         task: not yet started.
         begin: the body when it begins.
+        planned: in an open loop: the task is told what is planned in place of what is seen, and that objects are where
+            they were when it began. It is judged by what is seen all the same.
     """
 
-    def __init__(self, index: int, task: Task, begin: BodyView):
+    def __init__(self, index: int, task: Task, begin: BodyView, planned: Planned | None = None):
         self.index = index
         self.task = task
         self.begin_tick = begin.tick
         self.seen = GrowingTrace(begin.tick + 1)
         self._begin = begin
+        self._planned = planned
+        self._told = self.seen if planned is None else GrowingTrace(begin.tick + 1)
         self._goals: list[tuple[BodyView, int]] = []
-        task.start(begin)
+        task.start(as_planned(begin, planned))
 
     @classmethod
-    def again(cls, state: PerformingState, task: Task, trace: Trace, character: str, scene: Scene | None) -> Performing:
+    def again(
+        cls, state: PerformingState, task: Task, trace: Trace, character: str, scene: Scene | None,
+        planned: Planned | None = None,
+    ) -> Performing:  # fmt: skip
         """As it was when `state` was told.
 
         Args:
@@ -56,11 +64,13 @@ class Performing:
             trace: of the character, from the tick at which the task began.
             character: of the registry.
             scene: as its seed made it.
+            planned: as for the class, with what was planned since the task began.
         """
-        performing = cls(state.index, task, replace(_view(trace, state.begin_tick, character), scene=scene))
+        begin = replace(_view(trace, state.begin_tick, character), scene=scene)
+        performing = cls(state.index, task, begin, planned)
         for view_tick, plan_tick in state.goals:
             performing.goal(_view(trace, view_tick, character), plan_tick)
-        performing.seen.add(trace)
+        performing.add(trace)
         return performing
 
     def state(self) -> PerformingState:
@@ -71,11 +81,19 @@ class Performing:
     def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
         """What the task asks for."""
         self._goals.append((view, plan_tick))
-        return self.task.goal(view, plan_tick)
+        return self.task.goal(as_planned(view, self._planned, self._begin.objects), plan_tick)
 
     def add(self, trace: Trace) -> None:
         """What has happened since."""
         self.seen.add(trace)
+        if self._planned is not None:
+            new = trace.since(self.begin_tick + 1)
+            self._told.add(trace_as_planned(new, self._planned, self._begin.objects))
+
+    def status(self) -> Status:
+        """Whether the task is over, by what it is told."""
+        trace = self._told.trace()
+        return self.task.status(with_falls(trace) if self.task.upright else trace)
 
     def put_back(self, state: PerformingState, task: Task, tick: int) -> Performing:
         """As it was when it told `state`: what it has been asked and has seen since has not happened.
@@ -84,10 +102,10 @@ class Performing:
             task: the same, not yet started.
             tick: to which the character was put back.
         """
-        performing = Performing(self.index, task, self._begin)
+        performing = Performing(self.index, task, self._begin, self._planned)
         for view, plan_tick in self._goals[: len(state.goals)]:
             performing.goal(view, plan_tick)
-        performing.seen.add(self.seen.trace().until(tick))
+        performing.add(self.seen.trace().until(tick))
         return performing
 
     def trace(self) -> Trace:
@@ -106,7 +124,12 @@ class Performing:
         )
 
     def result(self, verdict: Verdict, name: str | None, stop_tick: int, reason: str | None) -> TaskResult:
-        """How it went; `reason` says why it did not succeed."""
+        """How it went; `reason` says why it did not succeed. In an open loop it has one measure more, `off_plan_m`: the
+        mean distance of the pelvis from where it was planned."""
+        measures = dict(verdict.measures)
+        if self._planned is not None and len(self.seen):
+            off_m = (self.seen.trace().pos_w_m - self._told.trace().pos_w_m)[:, 0]
+            measures["off_plan_m"] = float(np.linalg.norm(off_m, axis=-1).mean())
         return TaskResult(
             index=self.index,
             name=name or self.task.label,
@@ -120,7 +143,7 @@ class Performing:
             start_tick=self.begin_tick,
             stop_tick=stop_tick,
             reason=reason,
-            measures={name: round(value, 4) for name, value in verdict.measures.items()},
+            measures={name: round(value, 4) for name, value in measures.items()},
         )
 
 

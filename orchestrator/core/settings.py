@@ -11,8 +11,8 @@ class LoopSettings(BaseModel):
     """How plans are requested and joined.
 
     Attributes:
-        mode: `closed_loop`: the prefix is what the simulation did; `open_loop`: the prefix is the plan itself, the
-            physics is never looked at (for comparison, REFERENCE 3).
+        mode: `closed_loop`: prefix and goals come from what the simulation did; `open_loop`: from the plan itself, the
+            physics is never looked at (for comparison, REFERENCE 3; `core.own_world`).
         replan_ticks: a new plan every so many ticks at 30 Hz; 60 is the paper's loop, 15 and 120 its variants.
         text_replan_ticks: the same for plans without a target. A plan that is cut off early never gets far into what
             its text says: from standing, its first half second is still standing, again and again.

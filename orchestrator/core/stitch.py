@@ -34,7 +34,9 @@ class PlanBuffer:
         self._positions: Array = np.zeros((0, 0, 3))
 
     def at_rate(self, fps: int) -> PlanBuffer:
-        """What is planned, for a planner of another rate: the frames of its grid that lie within it."""
+        """What is planned, for a planner of that rate: the frames of its grid that lie within it."""
+        if fps == self.fps:
+            return self
         out = PlanBuffer(fps)
         if len(self._positions):
             first = -(-self._first * fps // self.fps)

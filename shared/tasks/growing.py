@@ -56,6 +56,7 @@ class GrowingTrace:
         self._world: dict[str, _Rows[np.float64]] = {"pose_w": _Rows(), "velocity_w": _Rows(), "impulse": _Rows()}
         self._contacts: dict[str, _Rows[np.int64]] = {"row": _Rows(), "body": _Rows(), "object": _Rows()}
         self._worldless = False
+        self._felt = True
 
     def __len__(self) -> int:
         return self._count
@@ -76,7 +77,7 @@ class GrowingTrace:
             self._worldless = True
         if self._worldless or world is None:
             return
-        self._objects = known
+        self._objects, self._felt = known, self._felt and world.felt
         self._world["pose_w"].add(world.pose_w)
         self._world["velocity_w"].add(world.velocity_w)
         self._world["impulse"].add(world.contact_impulse_ns)
@@ -91,6 +92,6 @@ class GrowingTrace:
             world = World(
                 self._objects, self._world["pose_w"].view(), self._world["velocity_w"].view(),
                 self._contacts["row"].view(), self._contacts["body"].view(), self._contacts["object"].view(),
-                self._world["impulse"].view(),
+                self._world["impulse"].view(), self._felt,
             )  # fmt: skip
         return Trace(self._start_tick, self._positions.view(), self._fallen.view(), world)

@@ -132,10 +132,8 @@ def sit(trace: Trace, seat: MarkedObject, mass_kg: float) -> Outcome:
     over = (along <= seat.half_size_m[0]) & (across <= seat.half_size_m[1])
     low = (above >= CODE_ABOVE_M[0]) & (above <= CODE_ABOVE_M[1])
     code = (along <= CODE_AREA_M[0]) & (across <= CODE_AREA_M[1]) & low
-    met = first_stretch(
-        over & (above >= 0) & (above <= PELVIS_ABOVE_M)
-        & (seat_share(trace.world, seat.object, mass_kg) >= SEAT_SHARE)
-    )  # fmt: skip
+    bears = seat_share(trace.world, seat.object, mass_kg) >= SEAT_SHARE if trace.world.felt else True
+    met = first_stretch(over & (above >= 0) & (above <= PELVIS_ABOVE_M) & bears)
     on_it = over & low
     paper = bool(on_it.any()) and not bool(trace.fallen[: int(np.argmax(on_it)) + 1].any())
     strict = met is not None and not bool(trace.fallen[: met + HOLD_TICKS + SAFE_TICKS + 1].any())
@@ -143,7 +141,9 @@ def sit(trace: Trace, seat: MarkedObject, mass_kg: float) -> Outcome:
 
 
 def on_both_feet(world: World) -> Bools:
-    """(T,) whether both feet bear on the floor."""
+    """(T,) whether both feet bear on the floor; yes where that cannot be told."""
+    if not world.felt:
+        return np.ones(len(world.pose_w), dtype=bool)
     sides = [smoothed(world.impulse_ns(THE_FLOOR, (f"{side}_ankle", f"{side}_foot"))) > 0 for side in ("left", "right")]
     return np.asarray(sides[0] & sides[1])
 

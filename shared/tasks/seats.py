@@ -209,7 +209,7 @@ class GetUpTask(Task):
         self._seat: MarkedObject | None = None
         self._sit: SitTask | None = None
         self._begin_tick = 0
-        self._was_low = False
+        self._was_low, self._scale = False, 1.0
         self._approach = Approach("pelvis", RISE)
         self._stand = HaltTask(HaltSpec(guidance=spec.guidance))
         self._walk = Walk(spec.guidance)
@@ -245,6 +245,7 @@ class GetUpTask(Task):
         """Fix the place, or sit down first; raises InvalidInputError where the scene has no such seat."""
         spec = self._spec
         self._target, self._sit, self._begin_tick = None, None, view.tick
+        self._scale = view.scale
         self._seat = marked_object(view, spec.mark) if spec.from_ == "seat" else None
         low = bool(view.pos_w_m[PELVIS, 2] < LOW_SHARE * spec.height_m * view.scale)
         self._was_low = low or (self._seat is not None and _sits_on(self._seat, view))
@@ -311,7 +312,8 @@ class GetUpTask(Task):
 
     def judge(self, trace: Trace) -> Verdict:
         """Rules of `shared.tasks.object_rules.get_up`; `was_low`: the release counts only those that sat before."""
-        measures = {"was_low": float(self._was_low)}
+        was_low = self._was_low and self._low_in(trace)
+        measures = {"was_low": float(was_low)}
         if self._target is None:
             return Verdict(False, False, False, bool(trace.fallen.any()), trace.duration_s, measures)
         out, floor = self._outcome(trace), self._spec.from_ == "floor"
@@ -319,8 +321,19 @@ class GetUpTask(Task):
         if len(trace):
             measures["end_distance_m"] = float(np.linalg.norm(trace.pos_w_m[-1, PELVIS] - self.target_w_m))
         seconds = trace.duration_s if out.met_tick is None else out.met_tick / TICK_HZ
-        strict = out.strict and self._was_low and (floor or not fell)
+        strict = out.strict and was_low and (floor or not fell)
         return Verdict(strict, out.paper, out.code, fell, seconds, measures)
+
+    def _low_in(self, trace: Trace) -> bool:
+        """Whether the body of a trace was low, or on the seat: what an open loop takes for true need not be."""
+        low = trace.pos_w_m[:, PELVIS, 2] < LOW_SHARE * self._spec.height_m * self._scale
+        if self._seat is None:
+            return bool(low.any())
+        if trace.world is None:
+            return True
+        along, across, above = self._seat.local_m(trace.world, trace.pos_w_m[:, PELVIS]).T
+        over = (np.abs(along) <= self._seat.half_size_m[0]) & (np.abs(across) <= self._seat.half_size_m[1])
+        return bool((low | (over & (above < (SitSpec().above_m + SEATED_M) * self._scale))).any())
 
     def _outcome(self, trace: Trace) -> object_rules.Outcome:
         """Of the rise alone, where sitting down came before it."""

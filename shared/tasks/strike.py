@@ -21,7 +21,7 @@ from shared.tasks.interface import BodyView, PlanGoal, Status, Task, Trace, Verd
 from shared.tasks.object_specs import Limb, StrikeSpec
 from shared.tasks.places import MarkedObject, marked_object
 from shared.tasks.specs import HaltSpec
-from shared.tasks.touching import Tipping, Upright, worth_of_blow
+from shared.tasks.touching import Tipping, Upright, is_in, worth_of_blow
 from shared.tasks.walking import STILL_MPS, Walk, step_to
 from shared.text.wording import STAND_TEXT
 
@@ -88,6 +88,8 @@ LEAN_TICKS = 2
 """Over so long the rate of its lean is told."""
 LANDED_S = 0.5
 """So long after a blow should have landed the next one is thought of."""
+FALLS_S = 2.0
+"""Where it cannot be seen, what has been pushed over is given so long to lie."""
 TURN_FROM_RAD = 0.5
 WALK_FROM_M = 0.36
 """Farther than this from where it should stand it walks; nearer it takes a step."""
@@ -119,7 +121,8 @@ class StrikeTask(Task):
         self._tipping: Tipping | None = None
         self._lean_radps = 0.0
         self._stood, self._way = np.zeros(3), np.zeros(2)
-        self._blows = 0
+        self._scale, self._blows = 1.0, 0
+        self._over_tick: int | None = None
         self._pace = Pace()
         self._walking = False
         self._range = RANGES[spec.limb.split("_")[1]]
@@ -155,6 +158,7 @@ class StrikeTask(Task):
         body = self._bag.scene.body(self._bag.object)
         self._tipping, self._lean_radps = None if body is None else Tipping.of(body), 0.0
         self._walking, self._gone = False, None
+        self._scale, self._over_tick = view.scale, None
         self._pace.forget()
 
     def goal(self, view: BodyView, plan_tick: int) -> PlanGoal:
@@ -171,7 +175,8 @@ class StrikeTask(Task):
         moving = mps is not None and mps > STILL_MPS * view.scale
         spec, bag = self._spec, self._known()
         pose = view.objects.get(bag.object)
-        if pose is not None and self._goes(float(object_rules.tilt_rad(pose))):
+        gone = pose is not None and self._goes(float(object_rules.tilt_rad(pose)))
+        if gone or self._over_tick is not None:
             return self._from_it(view, plan_tick)
         self._gone = None
         place = bag.place(view).position_w_m.astype(np.float64)
@@ -246,9 +251,7 @@ class StrikeTask(Task):
         hand, own = limb.endswith("hand"), self._range
         x, y, z = (float(v) for v in self._through(self._height_m(view.scale, hand), own.through_m * view.scale))
         rx, ry, _ = (float(v) for v in self._through(0.0, -own.behind_m * view.scale))
-        bag = self._known()
-        body = bag.scene.body(bag.object)
-        solid = None if body is None else Upright.of(body, self._stood[:2])
+        solid = self._solid()
         return PlanGoal(
             text=self._spec.prompt,
             targets=(
@@ -267,6 +270,11 @@ class StrikeTask(Task):
                 worth_of_blow, scale=view.scale, solid=solid, limb=TIPS[limb], speed_worth=own.speed_worth
             ),
         )  # fmt: skip
+
+    def _solid(self) -> Upright | None:
+        """The object as it stood when the blow began."""
+        body = self._known().scene.body(self._known().object)
+        return None if body is None else Upright.of(body, self._stood[:2])
 
     def _push(self, view: BodyView, plan_tick: int) -> PlanGoal:
         """Walk on into what was hit, a hand ahead: the one that hit it, or that of the same side as the foot."""
@@ -321,6 +329,8 @@ class StrikeTask(Task):
 
     def status(self, trace: Trace) -> Status:
         """Done when the bag is down and the limb was first; failed when it is down by anything else."""
+        if trace.world is not None and not trace.world.felt:
+            return self._imagined(trace)
         blow = self._judged(trace)
         if trace.world is not None and blow is not None and len(trace) > LEAN_TICKS:
             bag = trace.world.objects.index(self._known().object)
@@ -332,6 +342,20 @@ class StrikeTask(Task):
         if blow is None or not blow.outcome.code:
             return "running"
         return "done" if blow.outcome.met_tick is not None else "failed"
+
+    def _imagined(self, trace: Trace) -> Status:
+        """By what is planned alone: what the limb is in was hit; what the pelvis has gone through after that was pushed
+        over."""
+        solid, now = self._solid(), trace.start_tick + len(trace) - 1
+        if solid is not None and self._lands_tick is not None:
+            struck = trace.since(self._blow_tick).pos_w_m
+            self._felt |= is_in(struck, self._scale, solid, TIPS[self._spec.limb])
+            if self._over_tick is None and self._hit_tick is not None:
+                pushed = trace.since(self._hit_tick).pos_w_m
+                was, still = (is_in(part, self._scale, solid, ("pelvis",)) for part in (pushed, pushed[-1:]))
+                self._over_tick = now if was and not still else None
+        over = self._over_tick is not None and now - self._over_tick >= FALLS_S * TICK_HZ
+        return "done" if over else "running"
 
     def judge(self, trace: Trace) -> Verdict:
         """Rules of `shared.tasks.object_rules.strike`."""

@@ -100,8 +100,7 @@ def worth_of_blow(
     first = np.minimum(at.astype(int), len(frames) - 2)
     part = (at - first)[:, None, None]
     poses = frames[first] * (1 - part) + frames[first + 1] * part
-    radii = scale * np.array([RADII_M[name.split("_")[-1]] for name in CANONICAL.names])
-    gap = solid.gap_m(poses, radii)
+    gap = solid.gap_m(poses, _radii_m(scale))
     own = np.isin(np.array(CANONICAL.names), list(limb))
     by_limb, by_other = (np.flatnonzero((gap[:, mask] < 0).any(axis=1)) for mask in (own, ~own))
     if len(by_other) and (not len(by_limb) or by_other[0] <= by_limb[0]):
@@ -113,6 +112,17 @@ def worth_of_blow(
     end, back = poses[:, CANONICAL.index(limb[-1])], max(round(SPEED_S * rate), 1)
     way = np.linalg.norm(end[by_limb[0]] - end[max(by_limb[0] - back, 0)])
     return 1.0 + min(lead_s, LEAD_S) / LEAD_S + speed_worth * float(way) * rate / back
+
+
+def is_in(positions_w_m: Array, scale: float, solid: Upright, joints: Sequence[str]) -> bool:
+    """Whether one of some joints' bodies was ever within a solid, in motion (T, 22, 3) of a body of some scale."""
+    which = list(CANONICAL.indices(*joints))
+    return bool((solid.gap_m(positions_w_m, _radii_m(scale))[:, which] < 0).any())
+
+
+def _radii_m(scale: float) -> Array:
+    """(22,) of a body of some scale."""
+    return np.asarray(scale * np.array([RADII_M[name.split("_")[-1]] for name in CANONICAL.names]))
 
 
 def _cylinder(part: Part) -> tuple[float, float, float]:

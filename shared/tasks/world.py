@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +27,7 @@ class World:
         pose_w: (T, O, 7) position and quaternion wxyz. velocity_w: (T, O, 6) linear and angular.
         contact_row: (C,) row of the trace, in rising order; contact_body: (C,) joint; contact_object: (C,) index into
             `objects`, -1 for the floor; contact_impulse_ns: (C,) normal impulse within that tick.
+        felt: False where touches cannot be told, as in a plan: what a rule asks of them is then taken as given.
     """
 
     objects: tuple[str, ...]
@@ -36,6 +37,7 @@ class World:
     contact_body: IntArray
     contact_object: IntArray
     contact_impulse_ns: Array
+    felt: bool = True
 
     def position_m(self, name: str) -> Array:
         """(T, 3) where an object was; raises InvalidInputError listing the names."""
@@ -63,7 +65,7 @@ class World:
         kept = (self.contact_row >= start) & (self.contact_row < start + len(pose))
         return World(
             self.objects, pose, self.velocity_w[start:stop], self.contact_row[kept] - start, self.contact_body[kept],
-            self.contact_object[kept], self.contact_impulse_ns[kept],
+            self.contact_object[kept], self.contact_impulse_ns[kept], self.felt,
         )  # fmt: skip
 
     def _index(self, name: str) -> int:
@@ -72,6 +74,16 @@ class World:
                 f"there is no object {name!r}", field="object", allowed=", ".join(self.objects) or "an empty scene"
             )
         return self.objects.index(name)
+
+
+def unfelt(objects: Mapping[str, Array], ticks: int) -> World:
+    """A world of so many ticks in which objects stay at (7,) poses and touches cannot be told."""
+    nothing = np.zeros(0, dtype=np.int64)
+    pose = np.array(list(objects.values()), dtype=np.float64).reshape(len(objects), 7)
+    still = np.zeros((ticks, len(objects), 6))
+    return World(
+        tuple(objects), np.repeat(pose[None], ticks, axis=0), still, nothing, nothing, nothing, np.zeros(0), felt=False
+    )
 
 
 def worlds_joined(parts: Sequence[World | None]) -> World | None:
@@ -88,4 +100,5 @@ def worlds_joined(parts: Sequence[World | None]) -> World | None:
         np.concatenate([part.contact_body for part in known]),
         np.concatenate([part.contact_object for part in known]),
         np.concatenate([part.contact_impulse_ns for part in known]),
+        all(part.felt for part in known),
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -186,6 +188,22 @@ def test_the_mark_turns_and_moves_with_its_object() -> None:
     np.testing.assert_allclose(
         SOFA.local_m(moved, points), [[0.1, 0.3, 0.156], [0.1, 0.3, 0.156], [0.0, 0.0, 0.0]], atol=1e-9
     )
+
+
+def test_where_touches_cannot_be_told_the_place_decides() -> None:
+    """As in a plan, in which nothing bears anybody."""
+    sat, stood = seated(impulse_ns=0.0), risen(feet=())
+    assert sat.world is not None
+    assert stood.world is not None
+    assert object_rules.sit(sat, SOFA, MASS_KG).met_tick is None
+    assert object_rules.get_up(stood, TARGET, False).met_tick is None
+    sat, stood = (replace(trace, world=replace(trace.world, felt=False)) for trace in (sat, stood))
+    assert object_rules.sit(sat, SOFA, MASS_KG).met_tick == 20
+    assert object_rules.get_up(stood, TARGET, False).met_tick == 20
+    above = seated(at=(0.0, 0.0, 0.181), impulse_ns=0.0)
+    assert above.world is not None
+    unseen = replace(above, world=replace(above.world, felt=False))
+    assert object_rules.sit(unseen, SOFA, MASS_KG).met_tick is None
 
 
 TARGET = np.array([0.5, 0.0, 0.9])
