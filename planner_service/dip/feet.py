@@ -23,8 +23,8 @@ Array = npt.NDArray[np.float64]
 
 CONTACT = 0.5
 """A predicted contact above this holds the foot."""
-MOST_HELD_M, TOES_MOST_HELD_M = 0.08, 0.04
-"""A held ankle is at most this far from where the network put it; toes, from where that leaves them."""
+MOST_HELD_M = 0.08
+"""A held ankle is at most this far from where the network put it; held toes, from where that leaves them."""
 RELEASE = 0.6
 """Share of that distance left one frame after the foot has let go."""
 TOES_FRAMES, TOES_TIMES = 2.0, 3
@@ -33,8 +33,8 @@ SLACK = 0.99
 """Share left a frame while the foot is held, so that a long stand does not end in a leap."""
 
 
-def held_offsets(feet_xy_m: Array, contact: npt.NDArray[np.bool_], most_m: float = MOST_HELD_M) -> Array:
-    """(T, 2) what to add to a foot's path (T, 2) so that it stays put while in contact (T,), at most `most_m`.
+def held_offsets(feet_xy_m: Array, contact: npt.NDArray[np.bool_]) -> Array:
+    """(T, 2) what to add to a foot's path (T, 2) so that it stays put while in contact (T,).
 
     Row 0 is the last frame of the prefix and is never moved.
     """
@@ -42,7 +42,7 @@ def held_offsets(feet_xy_m: Array, contact: npt.NDArray[np.bool_], most_m: float
     for t in range(1, len(feet_xy_m)):
         if contact[t] and contact[t - 1]:
             kept = SLACK * offset[t - 1] + feet_xy_m[t - 1] - feet_xy_m[t]
-            offset[t] = kept * min(1.0, most_m / max(float(np.linalg.norm(kept)), 1e-9))
+            offset[t] = kept * min(1.0, MOST_HELD_M / max(float(np.linalg.norm(kept)), 1e-9))
         else:
             offset[t] = RELEASE * offset[t - 1]
     return offset
@@ -75,7 +75,7 @@ def with_planted_feet(
         target[:, :2] += held_offsets(target[:, :2], heel_stands)
         body = solve_leg(body, side, target)
         target = body[:, ankle].copy()
-        target[:, :2] += held_offsets(body[:, toe, :2], toes_stand, TOES_MOST_HELD_M)
+        target[:, :2] += held_offsets(body[:, toe, :2], toes_stand)
         body = solve_leg(body, side, target)
         if side in toes:
             numbers = np.arange(len(body))[:, None]

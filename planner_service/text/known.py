@@ -21,6 +21,9 @@ from shared.errors import InvalidInputError
 SHIPPED_SENTENCES = Path(__file__).resolve().parent.parent / "weights" / "sentences.npz"
 UNLIKE_BELOW = 0.4
 """A text with a cosine below this is about something else, whatever it is taken to mean."""
+ON_FOOT, ON_FOOT_LIKELY, ELSE_AT_MOST = ("walk", "run"), 0.75, 0.9
+"""Ways are gone in so many places that a text of one may seem to be about something else ("walk the dog to the park"):
+where that is at most so likely, and so much of the rest is a walk, or a run, it is one all the same."""
 SAME_ABOVE = 0.9
 """A cosine above this is a trained sentence in other words: such a text is planned for as it is."""
 
@@ -111,12 +114,23 @@ class KnownSentences:
         similarity = float(min(cosines[best], 1.0))
         if self.head is None:
             return Nearest(self.sentences[best], similarity)
-        meaning = self.head.most_likely(plain) if similarity >= UNLIKE_BELOW else None
+        meaning = None
+        if similarity >= UNLIKE_BELOW:
+            meaning = self.head.most_likely(plain) or _on_foot(self.head, plain)
         said = similarity >= SAME_ABOVE
         taken_as = None
         if not said and meaning is not None and (same := self._of.get(meaning)) is not None:
             taken_as = self.sentences[int(same[np.argmax(cosines[same])])]
         return Nearest(self.sentences[best], similarity, not said and meaning is None, taken_as, meaning)
+
+
+def _on_foot(head: MeaningHead, text: str) -> str | None:
+    *shares, other = head.shares(text)
+    for way in ON_FOOT:
+        on_it = sum(s for name, s in zip(head.names, shares, strict=True) if name.split(":")[0].split("_")[0] == way)
+        if other <= ELSE_AT_MOST and on_it >= ON_FOOT_LIKELY * (1.0 - other):
+            return way
+    return None
 
 
 def _unit(rows: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
+import torch
 
 from planner_service.text.encoder import TextEncoder
 from planner_service.text.known import KnownSentences
