@@ -73,6 +73,12 @@ class _Took:
         return max(self.usual, min(max(self.seconds), HUNG * self.usual))
 
 
+@dataclass(frozen=True)
+class _Span:
+    usual: float
+    longest: float
+
+
 class PlanLead:
     """Of one planner, for all characters that it plans for: as far as the settings say, and farther where plans take
     longer than that.
@@ -93,7 +99,7 @@ class PlanLead:
 
     def __init__(self, now: Callable[[], float] = time.monotonic):
         self._now = now
-        self._own: dict[Effort, _Took] = {}
+        self._own: dict[tuple[Effort, bool], _Took] = {}
         self._roomy = _Took()
         self._asked: list[Asked] = []
         self._given_up: list[Asked] = []
@@ -116,7 +122,7 @@ class PlanLead:
     def took(self, asked: Asked, queued_s: float = 0.0) -> None:
         """The tracker has a plan; `queued_s` of the time since it was asked for it waited at the planner for others."""
         seconds = self._now() - asked.began_s
-        self._own.setdefault(asked.effort, _Took()).add(max(seconds - queued_s, 0.0))
+        self._own.setdefault((asked.effort, asked.roomy), _Took()).add(max(seconds - queued_s, 0.0))
         if asked.roomy:
             self._roomy.add(seconds)
 
@@ -125,7 +131,8 @@ class PlanLead:
         if not self._own:
             return max(least_ticks, FIRST_TICKS)
         before_s = self._before_s()
-        seconds = SPARE * self._of(effort, longest=before_s is not None) + SPARE_S + (before_s or 0.0)
+        took = self._of(effort, roomy=False)
+        seconds = SPARE * (took.usual if before_s is None else took.longest) + SPARE_S + (before_s or 0.0)
         return max(least_ticks, min(ceil(seconds * TICK_HZ), MOST_TICKS))
 
     def roomy_ticks(self, least_ticks: int) -> int:
@@ -136,25 +143,27 @@ class PlanLead:
         wanted = ceil(max(usual, min(longest, ROOMY_MOST_S)) * TICK_HZ)
         return max(least_ticks, ROOMY_TICKS, min(wanted, MOST_TICKS))
 
-    def _of(self, effort: Effort, longest: bool) -> float:
-        known = effort if effort in self._own else next(iter(self._own))
-        took = self._own[known]
-        return (took.longest if longest else took.usual) * COSTS[effort] / COSTS[known]
+    def _of(self, effort: Effort, roomy: bool) -> _Span:
+        """What plans of an effort take, or are likely to by what others did."""
+        known = min(self._own, key=lambda each: (each[0] != effort, each[1] != roomy))
+        took, times = self._own[known], COSTS[effort] / COSTS[known[0]]
+        return _Span(took.usual * times, took.longest * times)
 
     def _before_s(self) -> float | None:
         """How long the planner has still to do with what it was asked for before; None when there is nothing."""
         now = self._now()
-        self._given_up = [each for each in self._given_up if self._left_s(each, now) > 0]
+        self._given_up = [each for each in self._given_up if self._ends_s(each) > now]
         there = [*self._asked, *self._given_up]
         if not there:
             return None
         if len(there) == 1:
-            return max(self._left_s(there[0], now), 0.0)
-        batch = max((self._of(each.effort, longest=True) for each in there if each.roomy), default=0.0)
-        return batch + sum(self._of(each.effort, longest=True) for each in there if not each.roomy)
+            return max(self._ends_s(there[0]) - now, 0.0)
+        batch = max((self._of(each.effort, True).usual for each in there if each.roomy), default=0.0)
+        return batch + sum(self._of(each.effort, False).usual for each in there if not each.roomy)
 
-    def _left_s(self, asked: Asked, now: float) -> float:
-        return asked.began_s + SPARE_S + self._of(asked.effort, longest=True) - now if self._own else 0.0
+    def _ends_s(self, asked: Asked) -> float:
+        """When a plan is there if the planner had nothing else to make."""
+        return asked.began_s + (self._of(asked.effort, asked.roomy).usual + SPARE_S if self._own else 0.0)
 
 
 def effort_of(goal: PlanGoal) -> Effort:

@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 UNHURRIED_S = 1.0
 """When a request is due whose plan starts from the present state: whoever asks lets no time pass until it comes."""
-BY_CLOCK_BATCH_S = 0.15
+BY_CLOCK_BATCH_S = 0.2
 """Planning together saves a processor a tenth or two, but who comes meanwhile waits for the whole batch: while there
 are characters by the clock, no more are planned together than are likely done in this time, and in half of that which
 is left for the first of them."""
