@@ -86,10 +86,10 @@ class PlanLead:
     A plan that comes too late is joined in late, or dropped by the tracker; where the planner is slow, every one would
     be, and the character would never move. Two kinds of plans are told apart:
 
-    - For a command the lead is what is waited for. While the planner has nothing else to make, it is what nearly all of
-      the last plans of like effort took, and a little longer. Else it is what the longest of them took and what is
-      before it at the planner, which makes first what is due first (`planner_service.service.batching`): one batch of
-      whatever kind, and what was asked for other commands.
+    - For a command the lead is what is waited for: what nearly all of the last plans of like effort took, and a little
+      longer, where the planner makes one other plan after that one is done. Where it has several to make, it is what
+      the longest of them took and what comes before it, since what is due first is planned first
+      (`planner_service.service.batching`): one batch of whatever kind, and what was asked for other commands.
     - A plan that only goes on with what was asked for before is given more than the longest took, queues included: no
       one waits for it, as a command does not wait for it either (`drivers`).
 
@@ -99,7 +99,7 @@ class PlanLead:
 
     def __init__(self, now: Callable[[], float] = time.monotonic):
         self._now = now
-        self._own: dict[tuple[Effort, bool], _Took] = {}
+        self._own: dict[Effort, _Took] = {}
         self._roomy = _Took()
         self._asked: list[Asked] = []
         self._given_up: list[Asked] = []
@@ -122,7 +122,7 @@ class PlanLead:
     def took(self, asked: Asked, queued_s: float = 0.0) -> None:
         """The tracker has a plan; `queued_s` of the time since it was asked for it waited at the planner for others."""
         seconds = self._now() - asked.began_s
-        self._own.setdefault((asked.effort, asked.roomy), _Took()).add(max(seconds - queued_s, 0.0))
+        self._own.setdefault(asked.effort, _Took()).add(max(seconds - queued_s, 0.0))
         if asked.roomy:
             self._roomy.add(seconds)
 
@@ -130,9 +130,8 @@ class PlanLead:
         """For the next plan for a command, or for one that aims at something."""
         if not self._own:
             return max(least_ticks, FIRST_TICKS)
-        before_s = self._before_s()
-        took = self._of(effort, roomy=False)
-        seconds = SPARE * (took.usual if before_s is None else took.longest) + SPARE_S + (before_s or 0.0)
+        there, took = self._there(), self._of(effort)
+        seconds = max(SPARE * took.usual, took.longest if len(there) > 1 else 0.0) + SPARE_S + self._before_s(there)
         return max(least_ticks, min(ceil(seconds * TICK_HZ), MOST_TICKS))
 
     def roomy_ticks(self, least_ticks: int) -> int:
@@ -143,27 +142,28 @@ class PlanLead:
         wanted = ceil(max(usual, min(longest, ROOMY_MOST_S)) * TICK_HZ)
         return max(least_ticks, ROOMY_TICKS, min(wanted, MOST_TICKS))
 
-    def _of(self, effort: Effort, roomy: bool) -> _Span:
+    def _of(self, effort: Effort) -> _Span:
         """What plans of an effort take, or are likely to by what others did."""
-        known = min(self._own, key=lambda each: (each[0] != effort, each[1] != roomy))
-        took, times = self._own[known], COSTS[effort] / COSTS[known[0]]
+        known = effort if effort in self._own else next(iter(self._own))
+        took, times = self._own[known], COSTS[effort] / COSTS[known]
         return _Span(took.usual * times, took.longest * times)
 
-    def _before_s(self) -> float | None:
-        """How long the planner has still to do with what it was asked for before; None when there is nothing."""
+    def _there(self) -> list[Asked]:
+        """What the planner has still to make."""
         now = self._now()
         self._given_up = [each for each in self._given_up if self._ends_s(each) > now]
-        there = [*self._asked, *self._given_up]
-        if not there:
-            return None
+        return [*self._asked, *self._given_up]
+
+    def _before_s(self, there: list[Asked]) -> float:
+        """How long the planner has to do with it before it comes to a command."""
         if len(there) == 1:
-            return max(self._ends_s(there[0]) - now, 0.0)
-        batch = max((self._of(each.effort, True).usual for each in there if each.roomy), default=0.0)
-        return batch + sum(self._of(each.effort, False).usual for each in there if not each.roomy)
+            return max(self._ends_s(there[0]) - self._now(), 0.0)
+        batch = max((self._of(each.effort).usual for each in there if each.roomy), default=0.0)
+        return batch + sum(self._of(each.effort).usual for each in there if not each.roomy)
 
     def _ends_s(self, asked: Asked) -> float:
         """When a plan is there if the planner had nothing else to make."""
-        return asked.began_s + (self._of(asked.effort, asked.roomy).usual + SPARE_S if self._own else 0.0)
+        return asked.began_s + (self._of(asked.effort).usual + SPARE_S if self._own else 0.0)
 
 
 def effort_of(goal: PlanGoal) -> Effort:

@@ -6,6 +6,7 @@ import heapq
 import logging
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
 from itertools import count
@@ -57,13 +58,22 @@ class Batcher:
         max_batch: requests planned together.
         max_wait_s: how long the first of a batch waits for others.
         metrics: told of every batch.
+        now: monotonic seconds.
     """
 
-    def __init__(self, planner: Planner, max_batch: int, max_wait_s: float, metrics: PlannerMetrics):
+    def __init__(
+        self,
+        planner: Planner,
+        max_batch: int,
+        max_wait_s: float,
+        metrics: PlannerMetrics,
+        now: Callable[[], float] = time.monotonic,
+    ):
         self._planner = planner
         self._max_batch = max_batch
         self._max_wait_s = max_wait_s
         self._metrics = metrics
+        self._now = now
         self._changed = threading.Condition()
         self._waiting: list[tuple[float, int, _Waiting]] = []  # a heap, by when it is due
         self._numbers = count()
@@ -78,7 +88,7 @@ class Batcher:
     def submit(self, request: PlanRequest, deadline_unix_s: float | None) -> Future[Message]:
         """The plan to come."""
         future: Future[Message] = Future()
-        item = _Waiting(request, deadline_unix_s, future, time.monotonic())
+        item = _Waiting(request, deadline_unix_s, future, self._now())
         with self._changed:
             if self._closed:
                 future.set_exception(UnavailableError("the planner is shutting down"))
@@ -116,9 +126,9 @@ class Batcher:
         with self._changed:
             while not self._waiting and not self._closed:
                 self._changed.wait()
-            until = time.monotonic() + self._max_wait_s
-            while len(self._waiting) < self._most_together() and not self._closed:
-                left_s = until - time.monotonic()
+            until = self._now() + self._max_wait_s
+            while not self._closed and len(self._waiting) < self._most_together():
+                left_s = until - self._now()
                 if left_s <= 0:
                     break
                 self._changed.wait(left_s)
@@ -129,17 +139,17 @@ class Batcher:
 
     def _most_together(self) -> int:
         """How many may be planned with what is due first."""
-        now = time.monotonic()
+        now = self._now()
         if now > self._by_clock_until or self._plan_s <= 0:
             return self._max_batch
         time_s = min(BY_CLOCK_BATCH_S, (self._waiting[0][0] - now) / 2)
         return max(1, min(self._max_batch, int(time_s / self._plan_s)))
 
     def _answer(self, batch: list[_Waiting]) -> None:
-        started = time.monotonic()
+        started = self._now()
         requests = [item.request for item in batch]
         outcomes: list[Plan | MotionLoopError] = list(self._plan_all(requests))
-        wall_ms = (time.monotonic() - started) * 1e3
+        wall_ms = (self._now() - started) * 1e3
         self.batches_made += 1
         share_s = wall_ms / 1e3 / len(batch)
         self._plan_s = share_s if self.batches_made == 1 else self._plan_s + _NEWEST * (share_s - self._plan_s)
