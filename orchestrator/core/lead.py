@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import ceil
 from typing import Literal
 
@@ -48,29 +48,26 @@ class Asked:
     began_s: float
 
 
-@dataclass
 class _Took:
-    """What plans took, seconds, the newest last."""
+    """What plans took, seconds.
 
-    seconds: deque[float] = field(default_factory=lambda: deque(maxlen=_REMEMBERED_LONGEST))
-    cold: bool = True
+    Attributes:
+        usual: what nearly all of the last took. longest: the longest, but for those that hung.
+    """
+
+    def __init__(self) -> None:
+        self.usual = self.longest = 0.0
+        self._seconds: deque[float] = deque(maxlen=_REMEMBERED_LONGEST)
+        self._cold = True
 
     def add(self, seconds: float) -> None:
         """One more. The first, for which the planner may have had to warm up, counts only until the second."""
-        if self.cold and self.seconds:
-            self.seconds.clear()
-            self.cold = False
-        self.seconds.append(seconds)
-
-    @property
-    def usual(self) -> float:
-        """What nearly all of the last took."""
-        return float(np.percentile(list(self.seconds)[-_REMEMBERED:], MOST_OF))
-
-    @property
-    def longest(self) -> float:
-        """The longest, but for those that hung."""
-        return max(self.usual, min(max(self.seconds), HUNG * self.usual))
+        if self._cold and self._seconds:
+            self._seconds.clear()
+            self._cold = False
+        self._seconds.append(seconds)
+        self.usual = float(np.percentile(list(self._seconds)[-_REMEMBERED:], MOST_OF))
+        self.longest = max(self.usual, min(max(self._seconds), HUNG * self.usual))
 
 
 @dataclass(frozen=True)
@@ -136,9 +133,9 @@ class PlanLead:
 
     def roomy_ticks(self, least_ticks: int) -> int:
         """For the next plan that only goes on."""
-        known = [*self._own.values(), *([self._roomy] if self._roomy.seconds else [])]
-        usual = max((SPARE * took.usual + SPARE_S for took in known), default=0.0)
-        longest = max((SPARE * took.longest + ROOMY_SPARE_S for took in known), default=0.0)
+        known = (*self._own.values(), self._roomy)
+        usual = max(SPARE * took.usual + SPARE_S for took in known)
+        longest = max(SPARE * took.longest + ROOMY_SPARE_S for took in known)
         wanted = ceil(max(usual, min(longest, ROOMY_MOST_S)) * TICK_HZ)
         return max(least_ticks, ROOMY_TICKS, min(wanted, MOST_TICKS))
 
