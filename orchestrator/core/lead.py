@@ -6,7 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, inf
 from typing import Literal
 
 import numpy as np
@@ -25,6 +25,11 @@ MOST_OF = 90
 """Percentile: a few that hung are no measure."""
 HUNG = 3.0
 """What took so many times as long as nearly all hung, and is no measure of the longest either."""
+ALONE_MOST_S = 0.165
+"""A plan may be made a second time (`planner_service.dip.effort`): the longest is waited for up to here, by one
+character alone too."""
+CROWD, CROWDED_S = 3, 5.0
+"""Where so many plans were under way at once not so long ago, processors are shared, too."""
 ROOMY_TICKS, ROOMY_SPARE_S, ROOMY_MOST_S = 12, 0.1, 0.8
 """The least for a plan that only goes on, what it is given beyond the longest, and up to where that goes: of the prefix
 so much is what was planned and not what was done."""
@@ -84,7 +89,7 @@ class PlanLead:
     be, and the character would never move. Two kinds of plans are told apart:
 
     - For a command the lead is what is waited for: what nearly all of the last plans of like effort took, and a little
-      longer, where the planner makes one other plan after that one is done. Where it has several to make, it is what
+      longer; where the planner makes one other plan, after that one is done. Where it has several to make, it is what
       the longest of them took and what comes before it, since what is due first is planned first
       (`planner_service.service.batching`): one batch of whatever kind, and what was asked for other commands.
     - A plan that only goes on with what was asked for before is given more than the longest took, queues included: no
@@ -100,11 +105,14 @@ class PlanLead:
         self._roomy = _Took()
         self._asked: list[Asked] = []
         self._given_up: list[Asked] = []
+        self._crowded_until_s = -inf
 
     def asked(self, effort: Effort, roomy: bool) -> Asked:
         """A plan is asked for now; `ended` or `given_up` must follow."""
         asked = Asked(effort, roomy, self._now())
         self._asked.append(asked)
+        if len(self._there()) >= CROWD:
+            self._crowded_until_s = asked.began_s + CROWDED_S
         return asked
 
     def ended(self, asked: Asked) -> None:
@@ -128,7 +136,9 @@ class PlanLead:
         if not self._own:
             return max(least_ticks, FIRST_TICKS)
         there, took = self._there(), self._of(effort)
-        seconds = max(SPARE * took.usual, took.longest if len(there) > 1 else 0.0) + SPARE_S + self._before_s(there)
+        busy = len(there) > 1 or self._now() < self._crowded_until_s
+        longest = took.longest + SPARE_S if busy else min(took.longest + SPARE_S, ALONE_MOST_S)
+        seconds = max(SPARE * took.usual + SPARE_S, longest) + self._before_s(there)
         return max(least_ticks, min(ceil(seconds * TICK_HZ), MOST_TICKS))
 
     def roomy_ticks(self, least_ticks: int) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from orchestrator.core.lead import COSTS, FIRST_TICKS, MOST_TICKS, ROOMY_TICKS, Asked, Effort, PlanLead
+from orchestrator.core.lead import COSTS, CROWDED_S, FIRST_TICKS, MOST_TICKS, ROOMY_TICKS, Asked, Effort, PlanLead
 
 LEAST = 3
 
@@ -117,15 +117,31 @@ def test_one_batch_and_all_commands_come_first() -> None:
     assert planner.ticks() == 16  # 0.1 s and 0.18 s more
 
 
+def test_one_alone_waits_for_the_longest_only_where_that_is_little() -> None:
+    planner = Planner()
+    for seconds in [0.07] * 20 + [0.13] + [0.07] * 20:
+        planner.plan(seconds)
+    assert planner.ticks() == 5  # 0.13 + 0.02 s; 1.2 x 0.07 + 0.02 s would be 4
+    planner.plan(0.2)
+    planner.plan(0.07)
+    assert planner.ticks() == 5
+
+
 def test_a_busy_planner_is_given_what_the_longest_took() -> None:
     planner = Planner()
     for seconds in [0.1] * 20 + [0.2] + [0.1] * 20:
         planner.plan(seconds)
     assert planner.ticks() == 5
-    planner.ask(roomy=True)
-    assert planner.ticks() == 8  # 1.2 x 0.1 + 0.02 s and 0.12 s: when it will be free is known
-    planner.ask(roomy=True)
+    first = planner.ask(roomy=True)
+    assert planner.ticks() == 9  # 0.165 s and 0.12 s: when it will be free is known
+    second = planner.ask(roomy=True)
     assert planner.ticks() == 10  # 0.2 + 0.02 s and 0.1 s
+    third = planner.ask(roomy=True)
+    for asked in (first, second, third):
+        planner.lead.ended(asked)
+    assert planner.ticks() == 7  # free just now, but not alone
+    planner.now_s += CROWDED_S
+    assert planner.ticks() == 5
 
 
 def test_a_plan_that_was_given_up_is_made_to_its_end_all_the_same() -> None:
