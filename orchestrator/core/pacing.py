@@ -59,8 +59,10 @@ class PlanPacer:
             return self._after(last, soonest, fps)
         replaced = start_tick_for(last.start_tick, 0, fps)
         before = self._before
-        if not last.goes_on or before is None or before.start_tick >= soonest:
+        if not last.goes_on or before is None:
             return replaced
+        if before.start_tick >= soonest:
+            return start_tick_for(before.start_tick, 0, fps)
         return min(replaced, self._after(before, soonest, fps))
 
     def entered(self, start_tick: int, period_ticks: int, goes_on: bool = False) -> None:

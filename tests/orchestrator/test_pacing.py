@@ -97,3 +97,13 @@ def test_what_takes_the_place_of_a_plan_for_a_command_is_early_once() -> None:
     pacer.entered(15, 30)
     pacer.entered(15, 30)
     assert pacer.remembered() == ((15, 30), (15,))
+
+
+def test_a_plan_for_a_command_that_has_still_to_enter_is_replaced_by_one_for_the_next() -> None:
+    pacer = PlanPacer(LEAST)
+    pacer.entered(0, 30)
+    pacer.entered(18, 30)
+    pacer.entered(48, 30, goes_on=True)
+    assert pacer.start_tick(12, 4) == 18
+    pacer.entered(18, 30)
+    assert pacer.remembered() == ((18, 30), (18,))
