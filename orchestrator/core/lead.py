@@ -170,7 +170,7 @@ class PlanLead:
 
     def _ends_s(self, asked: Asked) -> float:
         """When a plan is there if the planner had nothing else to make."""
-        return asked.began_s + (self._of(asked.effort).usual + SPARE_S if self._own else 0.0)
+        return asked.began_s + (self._of(asked.effort).usual if self._own else 0.0)
 
 
 def effort_of(goal: PlanGoal) -> Effort:

@@ -97,7 +97,7 @@ def test_what_the_planner_has_still_to_make_is_waited_for() -> None:
         planner.plan(0.1, roomy=True)
     assert planner.ticks() == 5
     asked = planner.ask(roomy=True)
-    assert planner.ticks() == 8  # 0.14 s and all of the other, 0.12 s
+    assert planner.ticks() == 8  # 0.14 s and all of the other, 0.1 s
     planner.now_s += 0.07
     assert planner.ticks() == 6
     planner.lead.ended(asked)
@@ -133,7 +133,7 @@ def test_a_busy_planner_is_given_what_the_longest_took() -> None:
         planner.plan(seconds)
     assert planner.ticks() == 5
     first = planner.ask(roomy=True)
-    assert planner.ticks() == 9  # 0.165 s and 0.12 s: when it will be free is known
+    assert planner.ticks() == 8  # 0.165 s and 0.1 s: when it will be free is known
     second = planner.ask(roomy=True)
     assert planner.ticks() == 10  # 0.2 + 0.02 s and 0.1 s
     third = planner.ask(roomy=True)
