@@ -159,7 +159,7 @@ async def asked_ahead(planner: str, tracker: str, noting: Noting) -> dict[str, l
     async def noted(more_than: int) -> list[int]:
         while len(noting.requests) <= more_than:
             await asyncio.sleep(0.005)
-        return [request.context_frames for request in noting.requests[more_than:]]
+        return [request.context_frames for request in noting.requests]
 
     try:
         await session.start()
@@ -172,9 +172,9 @@ async def asked_ahead(planner: str, tracker: str, noting: Noting) -> dict[str, l
         while not (aimed := [i for i, request in enumerate(noting.requests) if request.targets]):
             await asyncio.sleep(0.005)
         return {
-            "goes on": (await noted(0))[1:3],
+            "goes on": (await noted(2))[1:3],
             "command": [said.context_frames],
-            "target": (await noted(aimed[0] + 2))[-1:],
+            "target": [min((await noted(aimed[0] + 12))[-10:])],  # two early in four seconds: some enter later
         }
     finally:
         await session.close()
