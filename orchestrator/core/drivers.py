@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from orchestrator.core.keepsake import Pace
-from orchestrator.core.lead import Effort, PlanLead, effort_of
+from orchestrator.core.lead import Asked, PlanLead, effort_of
 from orchestrator.core.loop import CharacterLoop, GoalSource, PlanTiming, timing_of, view_of
 from orchestrator.core.pacing import PlanPacer
 from shared.errors import MotionLoopError, SimulationError, TransportError
@@ -196,41 +197,47 @@ class LockstepDriver(_Paced):
 
 @dataclass
 class _Request:
-    """A plan under way: of how much work, and whether for a new command or as one goes on."""
+    """A plan under way, asked for at `tick` for a new command or as one goes on; `lead` is its planner's."""
 
     task: asyncio.Task[Plan]
+    tick: int
     start_tick: int
-    period_ticks: int
     goal: PlanGoal
-    effort: Effort
     commanded: bool
+    lead: PlanLead
+    asked: Asked
     began_s: float = field(default_factory=time.perf_counter)
 
 
 class RealtimeDriver(_Paced):
     """The tracker's clock runs; plans are requested as far ahead as `PlanLead` says and handed over when they come.
 
-    A cycle is one look at the character (`poll_s`, sooner when a plan comes): it never waits for the planner. One plan
-    is under way at a time. A command that comes meanwhile lets it land and is planned for right after it, so that
-    commands which come faster than plans are made steer and do not starve; of several, the newest is planned for. A
-    plan that only goes on with what was asked for before is not performed any more once a command has come.
+    A cycle is one look at the character (`poll_s`, sooner when a plan or a command comes): it never waits for the
+    planner. One plan is under way at a time. A command that comes meanwhile lets one for another command land and is
+    planned for right after it, so that commands which come faster than plans are made steer and do not starve; of
+    several, the newest is planned for. A plan that only goes on with what was asked for before is given up for it, and
+    one that has landed but has still to enter is cut off. So such plans may be asked for long before they enter, but
+    for those that aim at something, which see as late as they can where the body is.
     """
 
     by_clock = True
 
-    def __init__(self, loop: CharacterLoop, start: StateFrame, poll_s: float = 0.033):
+    def __init__(
+        self, loop: CharacterLoop, start: StateFrame, lead_of: Callable[[str], PlanLead], poll_s: float = 0.033
+    ):
         super().__init__(loop, start)
+        self._lead_of = lead_of
         self._poll_s = poll_s
         self._look_at_s = time.monotonic()
         self._request: _Request | None = None
         self._retry_at_s = 0.0
-        self._lead = PlanLead(loop.settings.plan_lead_ticks)
+        self._aims = False
         self._trouble: str | None = None
         self._commanded = False
         self._woken: asyncio.Future[None] | None = None
 
     def replan_now(self) -> None:
-        """Plan at once, or when the plan under way has landed."""
+        """Plan at once, or when the plan under way for another command has landed."""
         super().replan_now()
         self._commanded = True
         if self._woken is not None and not self._woken.done():
@@ -250,28 +257,31 @@ class RealtimeDriver(_Paced):
 
     async def close(self) -> None:
         """Give up the plan under way."""
-        if self._request is not None:
-            self._request.task.cancel()
+        request, self._request = self._request, None
+        if request is not None:
+            request.lead.given_up(request.asked)
+            request.task.cancel()
             with contextlib.suppress(asyncio.CancelledError, MotionLoopError):
-                await self._request.task
-            self._request = None
+                await request.task
 
     async def cycle(self, source: GoalSource, max_ticks: int | None = None) -> Cycle:
-        """Wait one poll, look, collect a plan that has come, and request one that is due."""
+        """Wait one poll, collect a plan that has come, look, and request one that is due."""
         await self._until_look()
-        self._state, trace = await self._loop.look(self._seen + 1)
         plans: list[PlanTiming] = []
         if self._request is not None and self._request.task.done():
             landed, self._request = self._request, None  # first of all: one that raises must not be met again
             plans.extend(await self._collect(landed))
+        self._state, trace = await self._loop.look(self._seen + 1)
         tick = self._state.tick
         if self._may_launch() and tick >= self._next_plan_tick:
+            await self.close()
             self._launch(source, tick)
         self._seen = max(self._seen, tick)
         return Cycle(self._state, trace, tuple(plans), self._trouble)
 
     def _may_launch(self) -> bool:
-        return self._request is None and not self._state.paused and time.monotonic() >= self._retry_at_s
+        free = self._request is None or (self._commanded and not self._request.commanded and self._loop.has_plan)
+        return free and not self._state.paused and time.monotonic() >= self._retry_at_s
 
     async def _until_look(self) -> None:
         """Looks are due at a fixed rate, since what a look takes must not slow what viewers are shown; a plan that
@@ -280,36 +290,50 @@ class RealtimeDriver(_Paced):
         due_at_s = max(self._look_at_s + self._poll_s, now)
         if not (self._commanded and self._may_launch()):
             self._woken = asyncio.get_running_loop().create_future()
-            wakes = (self._woken if self._request is None else self._request.task,)
-            await asyncio.wait(wakes, timeout=due_at_s - now)
+            wakes = (self._woken,) if self._request is None else (self._woken, self._request.task)
+            await asyncio.wait(wakes, timeout=due_at_s - now, return_when=asyncio.FIRST_COMPLETED)
         self._look_at_s = min(due_at_s, max(time.monotonic(), self._look_at_s))
 
     def _launch(self, source: GoalSource, tick: int) -> None:
-        fps = self._loop.planner_spec().fps
-        start_tick = self._pacer.start_tick(tick, self._lead.ticks(), fps)
+        spec, least = self._loop.planner_spec(), self._loop.settings.plan_lead_ticks
+        lead = self._lead_of(spec.name)
+        roomy = not self._commanded and not self._aims
+        ahead = lead.roomy_ticks(least) if roomy else lead.ticks(least)
+        start_tick = self._pacer.start_tick(tick, ahead, spec.fps)
         goal = source(view_of(self._state), start_tick)
-        if (effort := effort_of(goal)) != "once":  # and so without a place to be at by then
-            start_tick = self._pacer.start_tick(tick, self._lead.ticks(effort), fps)
+        effort, self._aims = effort_of(goal), bool(goal.targets)
+        if not roomy and effort != "once":  # and so without a place to be at by then
+            start_tick = self._pacer.start_tick(tick, lead.ticks(least, effort), spec.fps)
         task = asyncio.create_task(self._loop.make_plan(goal, tick, start_tick))
-        self._request = _Request(task, start_tick, self._loop.period_ticks(goal), goal, effort, self._commanded)
+        lead = self._lead_of(self._loop.planner_spec(goal.planner).name)
+        asked, period = lead.asked(effort, roomy), self._loop.period_ticks(goal)
+        self._request = _Request(task, tick, start_tick, goal, self._commanded, lead, asked)
         self._commanded = False
-        self._next_plan_tick = tick + self._request.period_ticks
+        self._next_plan_tick = self._next_after(self._request, period)
+
+    def _next_after(self, request: _Request, period_ticks: int) -> int:
+        """When the plan after one that is meant to run for `period_ticks` is asked for."""
+        if self._aims:
+            return request.tick + period_ticks
+        ahead = request.lead.roomy_ticks(self._loop.settings.plan_lead_ticks)
+        return max(request.start_tick + period_ticks - ahead, self._state.tick + 1)
 
     async def _collect(self, request: _Request) -> list[PlanTiming]:
+        request.lead.ended(request.asked)
         try:
             plan = request.task.result()
         except asyncio.CancelledError:
             return []
         except SimulationError as error:
             self._bad.count(error)
-            self._next_plan_tick = self._state.tick
+            self._again(request)
             return []
         except MotionLoopError as error:
             if not _unavailable(error):
                 raise
             self._trouble = error.message
             self._retry_at_s = time.monotonic() + PLANNER_RETRY_S
-            self._next_plan_tick = self._state.tick
+            self._again(request)
             return []
         self._trouble = None
         self._bad.clear()
@@ -317,12 +341,16 @@ class RealtimeDriver(_Paced):
             return []
         took_s = time.perf_counter() - request.began_s
         reply = await self._loop.track(plan)
-        self._lead.took(time.perf_counter() - request.began_s, request.effort)
+        request.lead.took(request.asked, plan.timings_ms.get("queue", 0.0) / 1e3)
         if reply.accepted:
             period = self._loop.period_ticks(request.goal, plan)
             self._pacer.entered(plan.start_tick, period, goes_on=not request.commanded)
             if self._next_plan_tick > self._state.tick:  # no command came meanwhile
-                self._next_plan_tick += period - request.period_ticks
+                self._next_plan_tick = self._next_after(request, period)
         else:
-            self._next_plan_tick = self._state.tick
+            self._again(request)
         return [timing_of(plan, self._loop.plans_made - 1, reply, took_s * 1e3, request.goal.text)]
+
+    def _again(self, request: _Request) -> None:
+        self._next_plan_tick = self._state.tick
+        self._commanded = self._commanded or request.commanded

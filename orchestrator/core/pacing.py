@@ -24,6 +24,11 @@ class _Entered:
     period_ticks: int
     goes_on: bool = False
 
+    @property
+    def end_tick(self) -> int:
+        """Where another is meant to take over."""
+        return self.start_tick + self.period_ticks
+
 
 class PlanPacer:
     """Start ticks of plans that may be asked for faster than a body can follow.
@@ -32,7 +37,7 @@ class PlanPacer:
     off before its period only two in four seconds enter at once, at least `least_ticks` after one that began something
     new; others wait for the end of that period. While a plan has still to enter, with time enough to make another, the
     other takes its place unseen: commands that come at any rate are all planned for, and what enters was made for the
-    newest of them.
+    newest of them. One that only goes on and has still to enter is no reason to wait: the plan before it counts.
 
     Args:
         least_ticks: the least that a plan runs before another takes over.
@@ -41,6 +46,7 @@ class PlanPacer:
     def __init__(self, least_ticks: int):
         self._least_ticks = least_ticks
         self._last: _Entered | None = None
+        self._before: _Entered | None = None
         self._early: deque[int] = deque(maxlen=EARLY_PLANS)
 
     def start_tick(self, now_tick: int, lead_ticks: int, fps: int = PLANNER_FPS) -> int:
@@ -49,15 +55,25 @@ class PlanPacer:
         last = self._last
         if last is None:
             return soonest
-        if last.start_tick >= soonest:
-            return start_tick_for(last.start_tick, 0, fps)
-        return max(soonest, start_tick_for(last.start_tick, self._gap(last, soonest), fps))
+        if last.start_tick < soonest:
+            return self._after(last, soonest, fps)
+        replaced = start_tick_for(last.start_tick, 0, fps)
+        before = self._before
+        if not last.goes_on or before is None:
+            return replaced
+        if before.start_tick >= soonest:
+            return start_tick_for(before.start_tick, 0, fps)
+        return min(replaced, self._after(before, soonest, fps))
 
     def entered(self, start_tick: int, period_ticks: int, goes_on: bool = False) -> None:
         """A plan was accepted, and is meant to run for `period_ticks`; `goes_on`: no command is new in it,
         and so it is not early."""
         last = self._last
-        if not goes_on and last is not None and last.start_tick < start_tick < last.start_tick + last.period_ticks:
+        replaced = last if last is not None and last.start_tick >= start_tick else None
+        if replaced is None:
+            self._before = last
+        before, counted = self._before, replaced is not None and not replaced.goes_on
+        if not goes_on and not counted and before is not None and before.start_tick < start_tick < before.end_tick:
             self._early.append(start_tick)
         self._last = _Entered(start_tick, period_ticks, goes_on)
 
@@ -68,13 +84,16 @@ class PlanPacer:
 
     def remember(self, entered: tuple[int, int] | None, early: tuple[int, ...]) -> None:
         """Go on from what was in force."""
-        self._last = None if entered is None else _Entered(*entered)
+        self._last, self._before = None if entered is None else _Entered(*entered), None
         self._early = deque(early, maxlen=EARLY_PLANS)
 
     def clear(self) -> None:
         """The body was put somewhere else: nothing is in force."""
-        self._last = None
+        self._last = self._before = None
         self._early.clear()
+
+    def _after(self, last: _Entered, soonest: int, fps: int) -> int:
+        return max(soonest, start_tick_for(last.start_tick, self._gap(last, soonest), fps))
 
     def _gap(self, last: _Entered, soonest: int) -> int:
         spent = len(self._early) == EARLY_PLANS and soonest - self._early[0] < EARLY_WITHIN_TICKS

@@ -8,6 +8,7 @@ import logging
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
+from orchestrator.core.lead import PlanLead
 from orchestrator.core.scenes import Scenes
 from shared.errors import MotionLoopError, UnavailableError
 from shared.plugins.registry import current_name
@@ -111,6 +112,7 @@ class Services:
         rescue_s: how long a character whose tracker was lost is tried to be brought back, from what is kept of it at
             each plan; 0 keeps nothing, and it has failed at once.
         residents: where each character lives.
+        leads: how far ahead plans are asked for by the clock, by name of the planner plug-in.
     """
 
     planner: Slot
@@ -119,6 +121,7 @@ class Services:
     spares: list[Slot] = field(default_factory=list)
     rescue_s: float = 0.0
     residents: dict[str, Slot] = field(default_factory=dict)
+    leads: dict[str, PlanLead] = field(default_factory=dict)
     _leaving: set[asyncio.Task[None]] = field(default_factory=set)
     _expecting: set[asyncio.Task[None]] = field(default_factory=set)
     _ended: set[str] = field(default_factory=set)
@@ -126,6 +129,10 @@ class Services:
     def place(self) -> Slot:
         """The tracker for a new character: the one with the fewest, of equals the first."""
         return min((self.tracker, *self.spares), key=self._load)
+
+    def lead(self, planner: str) -> PlanLead:
+        """Of a planner plug-in: its characters wait for each other there."""
+        return self.leads.setdefault(planner, PlanLead())
 
     def others(self, slot: Slot) -> list[Slot]:
         """The trackers but one, those with the fewest characters first."""

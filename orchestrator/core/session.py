@@ -209,8 +209,9 @@ class Session:
         return state
 
     def _make_driver(self, state: StateFrame) -> Driver:
-        driver = LockstepDriver if self._choices.pacing == "lockstep" else RealtimeDriver
-        return driver(self.loop, state)
+        if self._choices.pacing == "lockstep":
+            return LockstepDriver(self.loop, state)
+        return RealtimeDriver(self.loop, state, self._services.lead)
 
     async def ask(self, kind: type[Reply], message: Message) -> Reply:
         """The tracker's reply; where the tracker is lost, the reply of the one that the character was brought back at.

@@ -33,22 +33,24 @@ class ArraySpec:
 
     def check_shape(self, shape: tuple[int, ...], field: str) -> dict[str, int]:
         """Sizes bound to the letters; raises InvalidInputError naming `field` before anything is allocated."""
-        letters = f"letters <= {self.max_size}" + (f" and >= {self.min_size}" if self.min_size else "")
-        allowed = f"{self.dtype} array of shape ({', '.join(map(str, self.shape))}), {letters}"
         if len(shape) != len(self.shape):
-            raise InvalidInputError(f"{field} has shape {shape}", field=field, allowed=allowed)
+            raise self._unfit(f"{field} has shape {shape}", field)
         bound: dict[str, int] = {}
         for size, want in zip(shape, self.shape, strict=True):
-            ok = size == want if isinstance(want, int) else self.min_size <= size <= self.max_size
-            if isinstance(want, str):
-                ok = ok and bound.setdefault(want, size) == size
+            if isinstance(want, int):
+                ok = size == want
+            else:
+                ok = self.min_size <= size <= self.max_size and bound.setdefault(want, size) == size
             if not ok:
-                raise InvalidInputError(f"{field} has shape {shape}", field=field, allowed=allowed)
+                raise self._unfit(f"{field} has shape {shape}", field)
         if math.prod(shape) * np.dtype(self.dtype).itemsize > MAX_ARRAY_BYTES:
-            raise InvalidInputError(
-                f"{field} of shape {shape} is larger than {MAX_ARRAY_BYTES} bytes", field=field, allowed=allowed
-            )
+            raise self._unfit(f"{field} of shape {shape} is larger than {MAX_ARRAY_BYTES} bytes", field)
         return bound
+
+    def _unfit(self, message: str, field: str) -> InvalidInputError:
+        letters = f"letters <= {self.max_size}" + (f" and >= {self.min_size}" if self.min_size else "")
+        allowed = f"{self.dtype} array of shape ({', '.join(map(str, self.shape))}), {letters}"
+        return InvalidInputError(message, field=field, allowed=allowed)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
         def validate(value: Any, info: core_schema.ValidationInfo) -> npt.NDArray[Any]:

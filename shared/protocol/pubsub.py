@@ -33,7 +33,8 @@ def _topic(character_id: str) -> bytes:
 
 
 class StatePublisher:
-    """PUB socket of StateFrames; `publish` may be called from any thread and never blocks.
+    """Socket of StateFrames; `publish` may be called from any thread and never blocks. A character that no one watches
+    costs nothing: an XPUB socket tells who does.
 
     With CURVE keys the context must be that of a ServiceServer, whose authenticator decides who may connect.
     """
@@ -44,7 +45,8 @@ class StatePublisher:
         self._context: zmq.Context[Any] = context if context is not None else zmq.Context()
         self._lock = threading.Lock()
         self._sequence = 0
-        self._socket = self._context.socket(zmq.PUB)
+        self._watched: set[bytes] = set()
+        self._socket = self._context.socket(zmq.XPUB)
         self._socket.linger = 0
         self._socket.sndhwm = FRAMES_QUEUED
         secure_server(self._socket, curve)
@@ -61,13 +63,26 @@ class StatePublisher:
             if self._socket.closed:
                 return
             self._sequence += 1
+            topic = _topic(frame.character_id)
+            self._hear()
+            if not any(topic.startswith(watched) for watched in self._watched):
+                return
             envelope = Envelope(
                 type=frame.type,
                 message_id=uuid.uuid4().hex,
                 character_id=frame.character_id,
                 sequence=self._sequence,
             )
-            self._socket.send_multipart([_topic(frame.character_id), *encode(envelope, frame)])
+            self._socket.send_multipart([topic, *encode(envelope, frame)])
+
+    def _hear(self) -> None:
+        """Take in which topics are watched from now on, and which are not any more."""
+        while self._socket.poll(0):
+            said = self._socket.recv()
+            if said[:1] == b"\x01":
+                self._watched.add(said[1:])
+            elif said[:1] == b"\x00":
+                self._watched.discard(said[1:])
 
     def close(self) -> None:
         """Close the socket (and the context, if it is the publisher's own). Safe to call twice."""

@@ -141,12 +141,12 @@ class Look(TickRange):
 
     @classmethod
     def of(cls, state: StateFrame, ticks: TickRange) -> Look:
-        """From a state and the log up to it."""
-        facts = StateFacts.model_validate({name: getattr(state, name) for name in StateFacts.model_fields})
-        return cls(facts=facts, **{name: getattr(ticks, name) for name in TickRange.model_fields})
+        """From a state and the log up to it, which were checked when they were made."""
+        facts = StateFacts.model_construct(**{name: getattr(state, name) for name in StateFacts.model_fields})
+        return cls.model_construct(facts=facts, **{name: getattr(ticks, name) for name in TickRange.model_fields})
 
     def state(self) -> StateFrame:
-        """The present state."""
+        """The present state, of arrays that were checked when this came."""
         latest = self.contact_sample == len(self.body_pos_w_m) - 1
         rows = {
             name: getattr(self, name)[-1]
@@ -155,8 +155,8 @@ class Look(TickRange):
                 "reference_pos_w_m", "hinge_pos_rad", "hinge_vel_radps", "servo_target_rad",
             )
         }  # fmt: skip
-        return StateFrame(
-            **self.facts.model_dump(),
+        return StateFrame.model_construct(
+            **{name: getattr(self.facts, name) for name in StateFacts.model_fields},
             **rows,
             objects=self.objects,
             object_pos_w_m=self.object_pose_w[-1, :, :3],

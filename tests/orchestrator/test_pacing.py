@@ -70,3 +70,40 @@ def test_entries_keep_their_distance_and_are_never_far_off(moves: list[int], per
         later - sooner >= EARLY_WITHIN_TICKS
         for sooner, later in zip(early, early[EARLY_PLANS:], strict=False)
     )  # fmt: skip
+
+
+def test_a_command_does_not_wait_for_a_plan_that_has_still_to_go_on() -> None:
+    pacer = PlanPacer(LEAST)
+    pacer.entered(0, 30)
+    pacer.entered(30, 30, goes_on=True)
+    assert pacer.start_tick(12, 4) == 18
+    pacer.entered(18, 30)  # early, as it cuts the first off; of the one in between nothing is seen
+    assert pacer.remembered() == ((18, 30), (18,))
+    pacer.entered(48, 30, goes_on=True)
+    assert pacer.start_tick(18, 4) == 18 + LEAST  # not sooner than LEAST after the last command
+
+
+def test_where_two_were_early_a_command_takes_the_place_of_what_would_go_on() -> None:
+    pacer = PlanPacer(LEAST)
+    for start in (0, 12, 24):
+        pacer.entered(start, 90)
+    pacer.entered(60, 30, goes_on=True)
+    assert pacer.start_tick(40, 4) == 60  # and not when the plan of 24 ends
+
+
+def test_what_takes_the_place_of_a_plan_for_a_command_is_early_once() -> None:
+    pacer = PlanPacer(LEAST)
+    pacer.entered(0, 30)
+    pacer.entered(15, 30)
+    pacer.entered(15, 30)
+    assert pacer.remembered() == ((15, 30), (15,))
+
+
+def test_a_plan_for_a_command_that_has_still_to_enter_is_replaced_by_one_for_the_next() -> None:
+    pacer = PlanPacer(LEAST)
+    pacer.entered(0, 30)
+    pacer.entered(18, 30)
+    pacer.entered(48, 30, goes_on=True)
+    assert pacer.start_tick(12, 4) == 18
+    pacer.entered(18, 30)
+    assert pacer.remembered() == ((18, 30), (18,))

@@ -8,12 +8,14 @@ import time
 from pathlib import Path
 
 from orchestrator.core.character import CharacterSession, CharacterSpec
-from orchestrator.core.command import Command
+from orchestrator.core.command import Command, Target
 from orchestrator.core.events import EventLog
+from orchestrator.core.lead import ROOMY_TICKS, PlanLead
 from orchestrator.core.services import Services, connect
 from orchestrator.core.supervise import Stack
 from planner_service.builtin.stand import StandPlanner
-from shared.protocol.messages import Plan, PlanRequest
+from shared.protocol.control import Health, HealthReport
+from shared.protocol.messages import TICK_HZ, Plan, PlanRequest
 from tests.orchestrator.support import light, served
 
 GIVE_UP_S = 60.0
@@ -94,3 +96,95 @@ def test_what_only_goes_on_is_dropped_for_a_command(tmp_path: Path) -> None:
     with served(Announcing(asked), tmp_path) as endpoints:
         planned = asyncio.run(asyncio.wait_for(plans_after_a_command(*endpoints, asked), GIVE_UP_S))
     assert planned[0] == "wave"
+
+
+class Held:
+    """Stands; plans for no one while it is held."""
+
+    def __init__(self) -> None:
+        self.spec, self.free, self.entered = StandPlanner().spec, threading.Event(), threading.Event()
+        self.free.set()
+
+    def plan(self, requests: list[PlanRequest]) -> list[Plan]:
+        self.entered.set()
+        assert self.free.wait(GIVE_UP_S)
+        return StandPlanner().plan(requests)
+
+
+async def asked_for_while_held(planner: str, tracker: str, held: Held) -> float:
+    """Requests that the planner has not answered, once a command came while it made a plan that goes on."""
+    services = Services(await connect(planner, "planner", "stand"), await connect(tracker, "tracker", "kinematic"))
+    session = CharacterSession("held", CharacterSpec(pacing="realtime"), services, EventLog())
+    try:
+        await session.start()
+        await texts_planned(session, 0)
+        held.free.clear()
+        held.entered.clear()
+        await asyncio.to_thread(held.entered.wait, GIVE_UP_S)
+        session.set_command(Command(text="wave"))
+        waiting = 0.0
+        while waiting < 3:  # the plan under way, the one for the command, and the question itself
+            report = await services.planner.ask(HealthReport, Health())
+            waiting = float(report.detail["pending"])
+        return waiting
+    finally:
+        held.free.set()
+        await session.close()
+        await services.close()
+
+
+def test_a_command_does_not_wait_until_what_goes_on_is_planned(tmp_path: Path) -> None:
+    held = Held()
+    with served(held, tmp_path) as endpoints:
+        assert asyncio.run(asyncio.wait_for(asked_for_while_held(*endpoints, held), GIVE_UP_S)) == 3
+
+
+class Noting:
+    """Stands, and notes what it is asked for."""
+
+    def __init__(self) -> None:
+        self.spec, self.requests = StandPlanner().spec.model_copy(update={"prefix_frames": 20}), list[PlanRequest]()
+
+    def plan(self, requests: list[PlanRequest]) -> list[Plan]:
+        self.requests += requests
+        return StandPlanner().plan(requests)
+
+
+async def asked_ahead(planner: str, tracker: str, noting: Noting) -> dict[str, list[int]]:
+    """How many frames ahead plans were asked for: those that go on, one for a command, and those with a target."""
+    services = Services(await connect(planner, "planner", "stand"), await connect(tracker, "tracker", "kinematic"))
+    services.leads["stand"] = PlanLead(lambda: 0.0)  # plans take no time, however busy this machine is
+    session = CharacterSession("ahead", CharacterSpec(pacing="realtime"), services, EventLog())
+
+    async def noted(more_than: int) -> list[int]:
+        while len(noting.requests) <= more_than:
+            await asyncio.sleep(0.005)
+        return [request.context_frames for request in noting.requests]
+
+    try:
+        await session.start()
+        await texts_planned(session, 3)
+        session.set_command(Command(text="wave"))
+        while "wave" not in await texts_planned(session, 3):
+            await asyncio.sleep(0.005)
+        said = next(request for request in noting.requests if request.text == "wave")
+        session.set_command(Command(text="walk", target=Target(joint="traj", position_m=(1.0, 0.0, 0.0))))
+        while not (aimed := [i for i, request in enumerate(noting.requests) if request.targets]):
+            await asyncio.sleep(0.005)
+        return {
+            "goes on": (await noted(2))[1:3],
+            "command": [said.context_frames],
+            "target": [min((await noted(aimed[0] + 12))[-10:])],  # two early in four seconds: some enter later
+        }
+    finally:
+        await session.close()
+        await services.close()
+
+
+def test_only_what_goes_on_without_an_aim_is_asked_for_early(tmp_path: Path) -> None:
+    noting = Noting()
+    with served(noting, tmp_path) as endpoints:
+        ahead = asyncio.run(asyncio.wait_for(asked_ahead(*endpoints, noting), GIVE_UP_S))
+    roomy = ROOMY_TICKS * noting.spec.fps // TICK_HZ
+    assert min(ahead["goes on"]) >= roomy
+    assert max(ahead["command"] + ahead["target"]) < roomy

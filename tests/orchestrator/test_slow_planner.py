@@ -10,7 +10,7 @@ import pytest
 
 from orchestrator.core.character import CharacterSession, CharacterSpec
 from orchestrator.core.events import EventLog
-from orchestrator.core.lead import COSTS, MOST_TICKS, PlanLead, effort_of
+from orchestrator.core.lead import effort_of
 from orchestrator.core.services import Services, connect
 from planner_service.builtin.stand import StandPlanner
 from shared.protocol.messages import JointTarget, Plan, PlanRequest
@@ -20,35 +20,6 @@ from tests.orchestrator.support import served
 PLAN_S = 0.9
 """Over the first lead of 0.3 s and the 0.3 s by which a plan may be late."""
 GIVE_UP_S = 120.0
-
-
-@pytest.mark.parametrize(
-    ("took_s", "ticks"),
-    [
-        ([], 9),
-        ([0.01, 0.02], 3),
-        ([0.1, 0.1], 5),
-        ([0.9], 33),
-        ([0.1] * 12 + [5.0], 5),  # one that hung is no measure
-        ([0.5, 1.0, 1.0, 1.2], 43),
-        ([0.9, 0.1], 5),  # the planner had to warm up
-        ([9.0] * 3, MOST_TICKS),
-        ([9.0] * 20 + [0.1] * 20, 5),  # it has recovered
-    ],
-)
-def test_the_lead_is_the_settings_or_what_plans_take(took_s: list[float], ticks: int) -> None:
-    lead = PlanLead(3)
-    for seconds in took_s:
-        lead.took(seconds)
-    assert lead.ticks() == ticks
-
-
-def test_blows_are_asked_for_earlier_and_do_not_delay_the_rest() -> None:
-    lead = PlanLead(3)
-    lead.took(0.1)
-    assert [lead.ticks(effort) for effort in COSTS] == [5, 8, 12]  # none is known: so many times the others
-    lead.took(0.2, "blow")
-    assert [lead.ticks(effort) for effort in COSTS] == [5, 8, 8]
 
 
 @pytest.mark.parametrize(

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import math
 import time
 
+import pytest
 import zmq
 
+from shared.errors import InvalidInputError
 from shared.protocol.messages import StateFrame
 from shared.protocol.transport import AsyncStateSubscriber, StatePublisher, StateSubscriber
 from tests.protocol.samples import SAMPLES
@@ -35,6 +39,34 @@ def test_a_watcher_sees_its_character_only() -> None:
     watching = StateSubscriber(publisher.endpoint, "a1")
     try:
         assert set(published_until_seen(publisher, watching, ["a10", "a1", "b"])) == {"a1"}
+    finally:
+        watching.close()
+        publisher.close()
+
+
+def test_frames_that_no_one_watches_are_not_even_written() -> None:
+    def unwritable(character_id: str) -> StateFrame:
+        return state_frame(character_id, 1).model_copy(update={"tracking_error_m": math.nan})
+
+    publisher = StatePublisher("tcp://127.0.0.1:0")
+    watching = StateSubscriber(publisher.endpoint, "b")
+    try:
+        publisher.publish(unwritable("a1"))
+        watching.close()
+        watching = StateSubscriber(publisher.endpoint, "a1")
+        published_until_seen(publisher, watching, ["a1"])
+        with pytest.raises(InvalidInputError, match="JSON"):
+            publisher.publish(unwritable("a1"))
+        publisher.publish(unwritable("a10"))
+        watching.close()
+        give_up = time.monotonic() + 10
+        while time.monotonic() < give_up:
+            with contextlib.suppress(InvalidInputError):
+                publisher.publish(unwritable("a1"))
+                break
+            time.sleep(0.01)
+        else:
+            raise AssertionError("who has gone is still written for")
     finally:
         watching.close()
         publisher.close()

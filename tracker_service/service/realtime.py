@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from math import inf
 
 from shared.errors import ConflictError
 from shared.protocol.messages import TICK_HZ, StateFrame
@@ -70,6 +71,7 @@ class RealtimeClock:
         self._now = now
         self._entries: dict[str, _Entry] = {}
         self._changed = threading.Condition()
+        self._waits_until_s = -inf
         self._stopping = False
         self._pool = ThreadPoolExecutor(workers, thread_name_prefix="realtime")
         self._thread = threading.Thread(target=self._run, name="realtime-clock", daemon=True)
@@ -110,6 +112,7 @@ class RealtimeClock:
                         entry.running = True
                         self._pool.submit(self._tick, entry)
                 due = min((entry.due_s for entry in waiting if not entry.running), default=now + 1.0)
+                self._waits_until_s = due
                 self._changed.wait(max(0.0, due - now))
 
     def _tick(self, entry: _Entry) -> None:
@@ -130,4 +133,5 @@ class RealtimeClock:
                 log.exception("a frame of %s could not be published", character.character_id)
         with self._changed:
             entry.due_s, entry.running = done.next_due_s, False
-            self._changed.notify_all()
+            if entry.due_s < self._waits_until_s:  # else the clock wakes in time by itself
+                self._changed.notify_all()
