@@ -25,6 +25,8 @@ CONTACT = 0.5
 """A predicted contact above this holds the foot."""
 MOST_HELD_M = 0.08
 """A held ankle is at most this far from where the network put it; held toes, from where that leaves them."""
+TOES_SLOW_MPS = 0.5
+"""Toes that are to go faster do not stand, whatever the predicted contact: who runs is on them for few frames."""
 RELEASE = 0.6
 """Share of that distance left one frame after the foot has let go."""
 TOES_FRAMES, TOES_TIMES = 2.0, 3
@@ -74,8 +76,9 @@ def with_planted_feet(
         target = wanted_w_m[:, ankle].copy()
         target[:, :2] += held_offsets(target[:, :2], heel_stands)
         body = solve_leg(body, side, target)
+        slow = np.linalg.norm(np.gradient(body[:, toe, :2], axis=0), axis=-1) * fps < TOES_SLOW_MPS
         target = body[:, ankle].copy()
-        target[:, :2] += held_offsets(body[:, toe, :2], toes_stand)
+        target[:, :2] += held_offsets(body[:, toe, :2], toes_stand & slow)
         body = solve_leg(body, side, target)
         if side in toes:
             numbers = np.arange(len(body))[:, None]

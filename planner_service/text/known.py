@@ -7,6 +7,7 @@ Each sentence is kept as the mean over its tokens' features (the pooled token of
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,8 @@ UNLIKE_BELOW = 0.4
 ON_FOOT, ON_FOOT_LIKELY, ELSE_AT_MOST = ("walk", "run"), 0.75, 0.9
 """Ways are gone in so many places that a text of one may seem to be about something else ("walk the dog to the park"):
 where that is at most so likely, and so much of the rest is a walk, or a run, it is one all the same."""
+STOPS, GOING = ("walk_stop", "run_stop"), re.compile(r"\b(walk|stroll|stride|march|run|jog|sprint|dash)")
+"""Recorded stops begin with a walk or a run: who is told to stop and not to go on before is told to stand."""
 SAME_ABOVE = 0.9
 """A cosine above this is a trained sentence in other words: such a text is planned for as it is."""
 
@@ -117,6 +120,8 @@ class KnownSentences:
         meaning = None
         if similarity >= UNLIKE_BELOW:
             meaning = self.head.most_likely(plain) or _on_foot(self.head, plain)
+        if meaning in STOPS and not GOING.search(plain):
+            meaning = "stand"
         said = similarity >= SAME_ABOVE
         taken_as = None
         if not said and meaning is not None and (same := self._of.get(meaning)) is not None:

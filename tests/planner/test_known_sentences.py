@@ -53,6 +53,14 @@ def test_ways_on_foot_are_known_wherever_they_lead(known: KnownSentences, encode
     assert known.nearest("drive a car", encoder).far
 
 
+def test_who_is_told_to_stop_is_not_sent_walking_first(known: KnownSentences, encoder: TextEncoder) -> None:
+    for text in ("a person stops and stands.", "come to a full stop now", "bring it to a halt"):
+        found = known.nearest(text, encoder)
+        assert found.meaning == "stand" and found.taken_as is not None and "walk" not in found.taken_as, text
+    found = known.nearest("walk up to the fence and stop there", encoder)
+    assert found.meaning in ("walk_stop", "walk_start_stop") and found.taken_as and "walk" in found.taken_as
+
+
 def test_a_training_sentence_is_its_own_nearest_however_it_is_written(
     known: KnownSentences, encoder: TextEncoder
 ) -> None:
