@@ -26,7 +26,9 @@ CONTACT = 0.5
 MOST_HELD_M = 0.08
 """A held ankle is at most this far from where the network put it; held toes, from where that leaves them."""
 TOES_SLOW_MPS = 0.5
-"""Toes that are to go faster do not stand, whatever the predicted contact: who runs is on them for few frames."""
+"""Toes that are to go faster do not stand, whatever the predicted contact."""
+RUNS_MPS = 2.0
+"""A pelvis that gets faster runs: toes that push off for a run are not kept, bodies fell over them."""
 RELEASE = 0.6
 """Share of that distance left one frame after the foot has let go."""
 TOES_FRAMES, TOES_TIMES = 2.0, 3
@@ -70,16 +72,18 @@ def with_planted_feet(
         the T - 1 planned frames, bone lengths exact.
     """
     body = clip_from_positions(wanted_w_m, fps, rebuild=True).positions_w_m.copy()
+    runs = float(np.linalg.norm(np.diff(wanted_w_m[:, 0, :2], axis=0), axis=-1).max()) * fps > RUNS_MPS
     for number, side in enumerate(("left", "right")):
         ankle, toe = CANONICAL.index(f"{side}_ankle"), CANONICAL.index(f"{side}_foot")
-        heel_stands, toes_stand = contacts[:, 2 * number] > CONTACT, contacts[:, 2 * number + 1] > CONTACT
+        heel_stands, toes_stand = (contacts[:, 2 * number : 2 * number + 2] > CONTACT).T
         target = wanted_w_m[:, ankle].copy()
-        target[:, :2] += held_offsets(target[:, :2], heel_stands)
+        target[:, :2] += held_offsets(target[:, :2], heel_stands | toes_stand if runs else heel_stands)
         body = solve_leg(body, side, target)
-        slow = np.linalg.norm(np.gradient(body[:, toe, :2], axis=0), axis=-1) * fps < TOES_SLOW_MPS
-        target = body[:, ankle].copy()
-        target[:, :2] += held_offsets(body[:, toe, :2], toes_stand & slow)
-        body = solve_leg(body, side, target)
+        if not runs:
+            slow = np.linalg.norm(np.gradient(body[:, toe, :2], axis=0), axis=-1) * fps < TOES_SLOW_MPS
+            target = body[:, ankle].copy()
+            target[:, :2] += held_offsets(body[:, toe, :2], toes_stand & slow)
+            body = solve_leg(body, side, target)
         if side in toes:
             numbers = np.arange(len(body))[:, None]
             near = np.exp(-((numbers - 1 - np.asarray(toes[side])) ** 2) / (2 * TOES_FRAMES**2)).max(-1, keepdims=True)

@@ -77,4 +77,7 @@ def test_toes_stay_where_they_stand_while_the_heel_rises() -> None:
     kept = with_planted_feet(hip_low, contacts, 20.0).positions_w_m
     assert np.ptp(free[:, toe, 0]) > 0.015
     assert np.ptp(kept[:, toe, 0]) < 0.005
+    run = hip_low + np.linspace(0.0, 5.0, 41)[:, None, None] * [1.0, 0.0, 0.0]  # 2.5 m/s
+    toes = with_planted_feet(run, contacts, 20.0).positions_w_m[:, toe, 0]
+    assert np.diff(toes).min() > 0.05  # who runs takes them along, whatever their contact
     assert kept[-1, ankle, 2] > STANDING[0, ankle, 2] + 0.025  # the heel is up all the same
