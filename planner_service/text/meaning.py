@@ -3,7 +3,7 @@
 A network that was shown a thousand sentences takes an unseen one for the nearest of them by its words, and is wrong in
 one of five ("someone is waving" is nearer to "someone walks forward waving" than to "wave at somebody"). Layers that
 were fitted to many more sentences with their meanings know which part of a sentence tells meanings apart; a linear head
-on the embedding that MiniLM was published for knows it half as well (docs/experiments_planner.md).
+on the embedding that MiniLM was published for errs nearly twice as often (docs/experiments_planner.md).
 """
 
 from __future__ import annotations

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
+from planner_service.text.bert import BertConfig
 from planner_service.text.encoder import FloatArray, TextEncoderSpec
 from shared.data.corpus import ClipInfo, write_corpus
 from shared.motion.ik import standing_clip
@@ -61,6 +63,8 @@ def write_small_corpus(folder: Path) -> Path:
 class HashEncoder:
     """Token features that differ from text to text; stands where MiniLM would, so that tests start at once."""
 
+    config = BertConfig(vocabulary=30522, width=384, layers=6, heads=12, ff=1536, positions=512, token_types=2)
+
     @property
     def spec(self) -> TextEncoderSpec:
         return TextEncoderSpec("minilm-l6-v2", 384, "0", 8)
@@ -70,3 +74,7 @@ class HashEncoder:
             np.random.default_rng(sum(t.encode())).normal(size=(1 + len(t.split()), 384)).astype(np.float32)
             for t in texts
         ]
+
+    def below(self, text: str, layers: int) -> torch.Tensor:
+        """As `PretrainedTextEncoder.below`: the same features, whatever the layer."""
+        return torch.from_numpy(self.encode([text])[0][None, 1:])
