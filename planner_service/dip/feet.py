@@ -27,8 +27,8 @@ MOST_HELD_M = 0.08
 """A held ankle is at most this far from where the network put it; held toes, from where that leaves them."""
 TOES_SLOW_MPS = 0.5
 """Toes that are to go faster do not stand, whatever the predicted contact."""
-RUNS_MPS = 2.0
-"""A pelvis that gets faster runs: toes that push off for a run are not kept, bodies fell over them."""
+WALKS_MPS, RUNS_MPS = 0.4, 2.0
+"""A pelvis at least so fast in the mean, and never faster, walks."""
 RELEASE = 0.6
 """Share of that distance left one frame after the foot has let go."""
 TOES_FRAMES, TOES_TIMES = 2.0, 3
@@ -52,12 +52,20 @@ def held_offsets(feet_xy_m: Array, contact: npt.NDArray[np.bool_]) -> Array:
     return offset
 
 
+def walks(positions_w_m: Array, fps: float) -> bool:
+    """Whether the body (T, 22, 3) walks. Toes that push off for a run, or bear a kick, are not to be kept: bodies fell
+    over them."""
+    mps = np.linalg.norm(np.diff(positions_w_m[:, 0, :2], axis=0), axis=-1) * fps
+    return bool(mps.mean() >= WALKS_MPS and mps.max() <= RUNS_MPS)
+
+
 def with_planted_feet(
     wanted_w_m: Array,
     contacts: Array,
     fps: float,
     hands: Collection[str] = (),
     toes: Mapping[str, Sequence[int]] = MappingProxyType({}),
+    toes_stay: bool = False,
 ) -> MotionClip:
     """The clip of a plan.
 
@@ -67,19 +75,19 @@ def with_planted_feet(
         fps: rate of the frames.
         hands: sides whose wrist is put where it is wanted.
         toes: planned frames about which the toes of a side are put where they are wanted.
+        toes_stay: toes are kept where they stand; else the ankle is, by the contact of heel or toes.
 
     Returns:
         the T - 1 planned frames, bone lengths exact.
     """
     body = clip_from_positions(wanted_w_m, fps, rebuild=True).positions_w_m.copy()
-    runs = float(np.linalg.norm(np.diff(wanted_w_m[:, 0, :2], axis=0), axis=-1).max()) * fps > RUNS_MPS
     for number, side in enumerate(("left", "right")):
         ankle, toe = CANONICAL.index(f"{side}_ankle"), CANONICAL.index(f"{side}_foot")
         heel_stands, toes_stand = (contacts[:, 2 * number : 2 * number + 2] > CONTACT).T
         target = wanted_w_m[:, ankle].copy()
-        target[:, :2] += held_offsets(target[:, :2], heel_stands | toes_stand if runs else heel_stands)
+        target[:, :2] += held_offsets(target[:, :2], heel_stands if toes_stay else heel_stands | toes_stand)
         body = solve_leg(body, side, target)
-        if not runs:
+        if toes_stay:
             slow = np.linalg.norm(np.gradient(body[:, toe, :2], axis=0), axis=-1) * fps < TOES_SLOW_MPS
             target = body[:, ankle].copy()
             target[:, :2] += held_offsets(body[:, toe, :2], toes_stand & slow)

@@ -23,7 +23,7 @@ from planner_service.dip.conditions import JOINT_SLOTS
 from planner_service.dip.deeds import Deed, deed_of, ranked, tries_of
 from planner_service.dip.diffusion import Denoiser, cosine_schedule, respaced, sample, sample_some, spread_steps
 from planner_service.dip.effort import EASIER_GUIDANCE, STANDS_MPS, eased, slowing, speed_mps, too_hard
-from planner_service.dip.feet import with_planted_feet
+from planner_service.dip.feet import walks, with_planted_feet
 from planner_service.dip.floor import held_seated, is_floor_seat, way_down
 from planner_service.dip.folded import Conditions, Denoising, FoldedDip
 from planner_service.dip.manner import SWUNG_STEPS, Manner, manner_of, swung
@@ -356,8 +356,9 @@ class DipPlanner:
             raise SimulationError("the diffusion planner gave values that are not finite")
         positions = features_to_global(features, PLANNER_FPS, batch.states[row])
         clip = with_planted_feet(
-            positions, features[:, CONTACTS], PLANNER_FPS, hands_of(wishes.aims, row), toes_of(wishes.aims, row)
-        )
+            positions, features[:, CONTACTS], PLANNER_FPS, hands_of(wishes.aims, row), toes_of(wishes.aims, row),
+            toes_stay=not request.targets and walks(positions, PLANNER_FPS),
+        )  # fmt: skip
         return Plan(
             planner="dip",
             weights_id=self._weights_id,
