@@ -317,7 +317,7 @@ def test_the_process_says_when_it_is_ready_and_ends_on_sigterm(free_endpoint: Ca
     [
         (("--endpoint", "tcp://0.0.0.0:5601"), "CURVE"),
         (("--threads", "0"), "threads"),
-        (("--plugins", "nobody"), "allowed: dip, clip, stand"),
+        (("--plugins", "nobody"), "dip, clip, stand, rise)"),
     ],
 )
 def test_the_process_refuses_what_it_cannot_do(arguments: tuple[str, ...], says: str) -> None:
