@@ -92,8 +92,7 @@ class Performing:
 
     def status(self) -> Status:
         """Whether the task is over, by what it is told."""
-        trace = self._told.trace()
-        return self.task.status(with_falls(trace) if self.task.upright else trace)
+        return self.task.status(self._with_falls(self._told))
 
     def put_back(self, state: PerformingState, task: Task, tick: int) -> Performing:
         """As it was when it told `state`: what it has been asked and has seen since has not happened.
@@ -110,7 +109,10 @@ class Performing:
 
     def trace(self) -> Trace:
         """Everything since the task began; a body on the floor has fallen, unless the task may want it there."""
-        trace = self.seen.trace()
+        return self._with_falls(self.seen)
+
+    def _with_falls(self, seen: GrowingTrace) -> Trace:
+        trace = seen.trace()
         return with_falls(trace) if self.task.upright else trace
 
     @property

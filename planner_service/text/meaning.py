@@ -8,10 +8,9 @@ on the embedding that MiniLM was published for errs nearly twice as often (docs/
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
-from threading import Lock
 
 import numpy as np
 import numpy.typing as npt
@@ -68,8 +67,7 @@ class MeaningHead:
         self.names = names
         self.layers = layers.eval().requires_grad_(False)
         self._below = below
-        self._kept: OrderedDict[str, Floats] = OrderedDict()
-        self._lock = Lock()
+        self._shares = lru_cache(_REMEMBERED)(self._compute)
 
     @classmethod
     def load(cls, config: BertConfig, below: Below, path: Path = SHIPPED_MEANINGS) -> MeaningHead:
@@ -90,17 +88,13 @@ class MeaningHead:
 
     def shares(self, text: str) -> Floats:
         """(M + 1,) how likely each meaning of a text is, and last that it is about something else; they add up to 1."""
-        with self._lock:
-            if text in self._kept:
-                self._kept.move_to_end(text)
-                return self._kept[text]
+        return self._shares(text)
+
+    def _compute(self, text: str) -> Floats:
         x = self._below(text, len(self.layers.layers))
         with torch.inference_mode():
             found: Floats = self.layers(x, torch.ones(x.shape[:2], dtype=torch.bool)).softmax(-1)[0].numpy()
-        with self._lock:
-            self._kept[text] = found
-            while len(self._kept) > _REMEMBERED:
-                self._kept.popitem(last=False)
+        found.flags.writeable = False  # it is kept
         return found
 
     def most_likely(self, text: str) -> str | None:

@@ -19,14 +19,33 @@ from orchestrator.core.manager import Orchestrator
 from orchestrator.core.services import Services, connect
 from orchestrator.core.supervise import Say, ServiceProcess, Stack, StackOptions
 from orchestrator.store.database import SqliteStore
+from planner_service.builtin.stand import StandPlanner
 from planner_service.service.service import PlannerService
 from planner_service.service.settings import PlannerSettings
 from shared.plugins.interfaces import Planner
 from shared.plugins.registry import PLANNERS, PluginRegistry
+from shared.protocol.messages import Plan, PlanRequest
 
 FREE = "tcp://127.0.0.1:0"
 LIGHT = StackOptions(planner_plugin="stand", tracker_plugin="kinematic", planner_args=("--plugins", "stand"))
 """Without torch a planner is there in a second."""
+
+
+class Noting:
+    """`stand`, which remembers what it was asked.
+
+    Args:
+        spec: what its specification says otherwise.
+    """
+
+    def __init__(self, **spec: object) -> None:
+        self.spec = StandPlanner().spec.model_copy(update=spec)
+        self.asked: list[PlanRequest] = []
+
+    def plan(self, requests: list[PlanRequest]) -> list[Plan]:
+        """As `stand` does."""
+        self.asked += requests
+        return StandPlanner().plan(requests)
 
 
 def light(data_dir: Path, library: Path | None = None) -> StackOptions:

@@ -19,7 +19,6 @@ from orchestrator.core.services import Services, connect
 from orchestrator.core.settings import VARIANTS
 from orchestrator.core.stitch import PlanBuffer
 from orchestrator.core.supervise import Stack
-from planner_service.builtin.stand import StandPlanner
 from planner_service.service.service import PlannerService
 from planner_service.service.settings import PlannerSettings
 from shared.motion.ik import standing_clip
@@ -31,23 +30,17 @@ from shared.tasks.builtin import ReachTask
 from shared.tasks.interface import BodyView, Trace
 from shared.tasks.specs import ReachSpec
 from shared.tasks.world import unfelt
+from tests.orchestrator.support import Noting
 
 STANDING_M = np.asarray(standing_clip(1, 20.0).positions_w_m[0], dtype=np.float64)
 Asked = tuple[int, list[object], bytes]
 
 
-class Gliding:
+class Gliding(Noting):
     """Plans whoever stands to glide ahead at 1 m/s, and remembers what it was asked."""
 
-    def __init__(self) -> None:
-        self.spec = StandPlanner().spec.model_copy(update={"plan_frames": 40})
-        self.asked: list[PlanRequest] = []
-
     def plan(self, requests: list[PlanRequest]) -> list[Plan]:
-        self.asked += requests
-        return [
-            self._glide(request, plan) for request, plan in zip(requests, StandPlanner().plan(requests), strict=True)
-        ]
+        return [self._glide(request, plan) for request, plan in zip(requests, super().plan(requests), strict=True)]
 
     def _glide(self, request: PlanRequest, plan: Plan) -> Plan:
         positions = np.repeat(np.asarray(request.prefix_positions_w_m)[-1:], len(plan.positions_w_m), axis=0)
@@ -57,7 +50,7 @@ class Gliding:
 
 def performed(stack: Stack, variant: str, push_ns: float, tracker: str = "pd") -> tuple[list[Asked], EpisodeOutcome]:
     """What was asked of the planner on the way to a point 1.5 m ahead, and how it ended."""
-    planner = Gliding()
+    planner = Gliding(plan_frames=40)
     registry: PluginRegistry[Planner] = PluginRegistry(PLANNERS, {"stand": lambda: planner})
 
     async def run(endpoint: str) -> EpisodeOutcome:

@@ -16,7 +16,7 @@ from orchestrator.core.supervise import Stack
 from planner_service.builtin.stand import StandPlanner
 from shared.protocol.control import Health, HealthReport
 from shared.protocol.messages import TICK_HZ, Plan, PlanRequest
-from tests.orchestrator.support import light, served
+from tests.orchestrator.support import Noting, light, served
 
 GIVE_UP_S = 60.0
 
@@ -139,17 +139,6 @@ def test_a_command_does_not_wait_until_what_goes_on_is_planned(tmp_path: Path) -
         assert asyncio.run(asyncio.wait_for(asked_for_while_held(*endpoints, held), GIVE_UP_S)) == 3
 
 
-class Noting:
-    """Stands, and notes what it is asked for."""
-
-    def __init__(self) -> None:
-        self.spec, self.requests = StandPlanner().spec.model_copy(update={"prefix_frames": 20}), list[PlanRequest]()
-
-    def plan(self, requests: list[PlanRequest]) -> list[Plan]:
-        self.requests += requests
-        return StandPlanner().plan(requests)
-
-
 async def asked_ahead(planner: str, tracker: str, noting: Noting) -> dict[str, list[int]]:
     """How many frames ahead plans were asked for: those that go on, one for a command, and those with a target."""
     services = Services(await connect(planner, "planner", "stand"), await connect(tracker, "tracker", "kinematic"))
@@ -157,9 +146,9 @@ async def asked_ahead(planner: str, tracker: str, noting: Noting) -> dict[str, l
     session = CharacterSession("ahead", CharacterSpec(pacing="realtime"), services, EventLog())
 
     async def noted(more_than: int) -> list[int]:
-        while len(noting.requests) <= more_than:
+        while len(noting.asked) <= more_than:
             await asyncio.sleep(0.005)
-        return [request.context_frames for request in noting.requests]
+        return [request.context_frames for request in noting.asked]
 
     try:
         await session.start()
@@ -167,9 +156,9 @@ async def asked_ahead(planner: str, tracker: str, noting: Noting) -> dict[str, l
         session.set_command(Command(text="wave"))
         while "wave" not in await texts_planned(session, 3):
             await asyncio.sleep(0.005)
-        said = next(request for request in noting.requests if request.text == "wave")
+        said = next(request for request in noting.asked if request.text == "wave")
         session.set_command(Command(text="walk", target=Target(joint="traj", position_m=(1.0, 0.0, 0.0))))
-        while not (aimed := [i for i, request in enumerate(noting.requests) if request.targets]):
+        while not (aimed := [i for i, request in enumerate(noting.asked) if request.targets]):
             await asyncio.sleep(0.005)
         return {
             "goes on": (await noted(2))[1:3],
@@ -182,7 +171,7 @@ async def asked_ahead(planner: str, tracker: str, noting: Noting) -> dict[str, l
 
 
 def test_only_what_goes_on_without_an_aim_is_asked_for_early(tmp_path: Path) -> None:
-    noting = Noting()
+    noting = Noting(prefix_frames=20)
     with served(noting, tmp_path) as endpoints:
         ahead = asyncio.run(asyncio.wait_for(asked_ahead(*endpoints, noting), GIVE_UP_S))
     roomy = ROOMY_TICKS * noting.spec.fps // TICK_HZ

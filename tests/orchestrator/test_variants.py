@@ -22,20 +22,9 @@ from shared.motion.ik import standing_clip
 from shared.plugins.conformance import sample_request
 from shared.plugins.interfaces import Planner
 from shared.plugins.registry import PLANNERS, PluginRegistry
-from shared.protocol.messages import CreateCharacter, Plan, PlanRequest, StateFrame
+from shared.protocol.messages import CreateCharacter, PlanRequest, StateFrame
 from shared.tasks.interface import PlanGoal
-
-
-class Noting:
-    """`stand`, which remembers what it was asked."""
-
-    def __init__(self) -> None:
-        self.spec = StandPlanner().spec.model_copy(update={"plan_frames": 40})
-        self.asked: list[PlanRequest] = []
-
-    def plan(self, requests: list[PlanRequest]) -> list[Plan]:
-        self.asked += requests
-        return StandPlanner().plan(requests)
+from tests.orchestrator.support import Noting
 
 
 def drive(
@@ -43,7 +32,7 @@ def drive(
     goal: PlanGoal | None = None, tracker: str = "kinematic",
 ) -> tuple[list[PlanRequest], list[int], list[int]]:  # fmt: skip
     """Requests that reached the planner, the ticks plans were made at, and the lengths handed to the tracker."""
-    planner = Noting()
+    planner = Noting(plan_frames=40)
     registry: PluginRegistry[Planner] = PluginRegistry(PLANNERS, {"stand": lambda: planner})
 
     async def run(endpoint: str) -> tuple[list[int], list[int]]:
