@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import random
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -46,12 +47,13 @@ class Connection(asyncio.Protocol):
 
     Args:
         request: gives the next request, whole, as bytes.
+        first_s: until the first request.
         every_s: between two requests.
         told: where answers are counted.
     """
 
-    def __init__(self, request: Callable[[], bytes], every_s: float, told: Told):
-        self._request, self._every_s, self._told = request, every_s, told
+    def __init__(self, request: Callable[[], bytes], first_s: float, every_s: float, told: Told):
+        self._request, self._first_s, self._every_s, self._told = request, first_s, every_s, told
         self._transport: asyncio.Transport | None = None
         self._got = b""
         self._due_s = self._sent_s = 0.0
@@ -62,8 +64,8 @@ class Connection(asyncio.Protocol):
         """Begin."""
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
-        self._due_s = time.monotonic()
-        self._ask()
+        self._due_s = time.monotonic() + self._first_s
+        asyncio.get_running_loop().call_later(self._first_s, self._ask)
 
     def data_received(self, data: bytes) -> None:
         """Count a whole answer, and ask again when it is time."""
@@ -111,16 +113,20 @@ class Connection(asyncio.Protocol):
 async def flood(
     url: str, caller: str, connections: int, per_s: float, request: Callable[[], bytes], told: Told
 ) -> None:
-    """Until cancelled: `per_s` requests a second from address `caller`, over so many connections."""
+    """Until cancelled: `per_s` requests a second from address `caller`, over so many connections.
+
+    Each connection begins at a moment of its own: in step they would ask at once and wait for each other.
+    """
     where = urlsplit(url)
     host, port = str(where.hostname), where.port or 80
+    every_s, rng = connections / per_s, random.Random(caller)
 
     async def keep() -> None:
         loop = asyncio.get_running_loop()
         while True:
             try:
                 _, connection = await loop.create_connection(
-                    lambda: Connection(request, connections / per_s, told),
+                    lambda: Connection(request, every_s * rng.random(), every_s, told),
                     host, port, local_addr=(caller, 0),
                 )  # fmt: skip
             except OSError:

@@ -15,6 +15,7 @@ from orchestrator.api.app import create_app, open_orchestrator
 from orchestrator.api.listener import bind
 from orchestrator.api.settings import OrchestratorSettings
 from orchestrator.store.lock import FolderLock
+from shared.garbage import spare_what_stays
 from shared.spans import recorder_of, recording
 from shared.tracing import configure_logging
 
@@ -36,6 +37,7 @@ class _Server(uvicorn.Server):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
         if self.started and sockets:
+            spare_what_stays()
             host, port = sockets[0].getsockname()[:2]
             sys.stdout.write(f"ready http://{host}:{port}\n")
             sys.stdout.flush()

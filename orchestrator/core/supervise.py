@@ -11,7 +11,9 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import TracebackType
 
 from shared.errors import UnavailableError
@@ -20,6 +22,8 @@ READY_TIMEOUT_S = 120.0
 STOP_TIMEOUT_S = 8.0
 _PR_SET_PDEATHSIG = 1
 _FREE = "tcp://127.0.0.1:0"
+_PLANNER_NICENESS, _ORCHESTRATOR_NICENESS = 5, 10
+"""Characters by the clock come first, plans next, and those who ask for more than can be done last."""
 _ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
 
 Say = Callable[[str], None]
@@ -31,6 +35,17 @@ def _die_with_parent() -> None:
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
+def _give_way(niceness: int) -> None:
+    """In the child: let others have the processors first, by setpriority(2).
+
+    Where the kernel shares them among sessions before it does among threads (sched(7), autogroups), the session gives
+    way too; without that a process of a session of its own is as nice as any other.
+    """
+    os.nice(niceness)
+    with suppress(OSError):  # there is none, or it may not be written
+        Path("/proc/self/autogroup").write_text(str(niceness), encoding="ascii")
+
+
 @dataclass
 class ServiceProcess:
     """A service in a process of its own session.
@@ -39,11 +54,13 @@ class ServiceProcess:
         name: for people.
         command: argument list.
         environment: added to the parent's.
+        niceness: 0 to 19, added to the parent's: how far it gives way to other processes.
     """
 
     name: str
     command: Sequence[str]
     environment: dict[str, str] = field(default_factory=dict)
+    niceness: int = 0
 
     def __post_init__(self) -> None:
         self._process: subprocess.Popen[str] | None = None
@@ -74,9 +91,14 @@ class ServiceProcess:
             text=True,
             env={**os.environ, **self.environment, "PYTHONUNBUFFERED": "1"},
             start_new_session=True,
-            preexec_fn=_die_with_parent,
+            preexec_fn=self._prepare,
         )
         threading.Thread(target=self._read, args=(self._process,), name=f"{self.name}-output", daemon=True).start()
+
+    def _prepare(self) -> None:
+        _die_with_parent()
+        if self.niceness:
+            _give_way(self.niceness)
 
     def _read(self, process: subprocess.Popen[str]) -> None:
         stream = process.stdout
@@ -260,7 +282,7 @@ class Stack:
 
     def _planner(self, endpoint: str) -> ServiceProcess:
         command = [sys.executable, "-m", "planner_service", "--endpoint", endpoint, *self.options.planner_args]
-        return ServiceProcess("planner", command, _ONE_THREAD)
+        return ServiceProcess("planner", command, _ONE_THREAD, _PLANNER_NICENESS)
 
     def _tracker(self, endpoint: str) -> ServiceProcess:
         command = [sys.executable, "-m", "tracker_service", "--endpoint", endpoint, *self.options.tracker_args]
@@ -279,4 +301,4 @@ class Stack:
             ("--scenes", options.scenes),
         ):
             command += [] if value is None else [flag, value]
-        return ServiceProcess("orchestrator", command, _ONE_THREAD)
+        return ServiceProcess("orchestrator", command, _ONE_THREAD, _ORCHESTRATOR_NICENESS)

@@ -10,6 +10,7 @@ from planner_service.service.service import PlannerService
 from planner_service.service.settings import PlannerSettings
 from shared.ending import Ending
 from shared.errors import MotionLoopError
+from shared.garbage import spare_what_stays
 from shared.settings import add_arguments, load_settings
 from shared.spans import recorder_of, recording
 from shared.tracing import configure_logging
@@ -29,6 +30,7 @@ def run(arguments: Sequence[str], ending: Ending) -> int:
         print(f"planner service cannot start: {error.field or 'error'}: {error.message}{hint}", file=sys.stderr)
         return 2
     ending.serve()
+    spare_what_stays()
     if service.metrics.endpoint.url is not None:
         print(f"planner metrics at {service.metrics.endpoint.url}", flush=True)
     print(f"planner ready at {service.endpoint} with {', '.join(service.plugins)}", flush=True)

@@ -138,3 +138,13 @@ def test_a_client_reaches_loopback_past_any_proxy(stack: Stack, monkeypatch: pyt
     # Elsewhere the proxies count; one that cannot be used is told in a sentence.
     with pytest.raises(UnavailableError, match=r"proxy|nobody|no server"), Client("http://192.0.2.1:8080") as far:
         far.services()
+
+
+def test_callers_wait_for_plans_and_plans_for_physics(stack: Stack) -> None:
+    own = os.nice(0)
+    assert stack.orchestrator is not None
+    for process, niceness in ((stack.tracker, 0), (stack.planner, 5), (stack.orchestrator, 10)):
+        assert psutil.Process(process.pid).nice() == min(own + niceness, 19), process.name
+        group = Path(f"/proc/{process.pid}/autogroup")
+        if group.exists() and niceness:
+            assert group.read_text().split()[-2:] == ["nice", str(niceness)], process.name

@@ -8,6 +8,7 @@ import sys
 
 from shared.ending import Ending
 from shared.errors import MotionLoopError
+from shared.garbage import spare_what_stays
 from shared.settings import add_arguments, load_settings
 from shared.spans import recorder_of, recording
 from shared.tracing import configure_logging
@@ -40,6 +41,7 @@ def serve(settings: TrackerServiceSettings, ending: Ending) -> int:
     sys.setswitchinterval(0.0005)
     ending.serve()  # from here on there are files to remove
     with recording(recorder_of("tracker")), TrackerService(settings) as service:
+        spare_what_stays()
         if service.metrics.endpoint.url is not None:
             print(f"tracker_service metrics at {service.metrics.endpoint.url}", flush=True)
         print(f"tracker_service ready endpoint={service.endpoint} state={service.state_endpoint}", flush=True)
