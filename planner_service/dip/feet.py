@@ -1,4 +1,4 @@
-"""Feet of a plan: held where the plan itself says that they stand, and not below the floor; and hands that have an aim.
+"""Feet of a plan, held where the plan itself says that they stand, and clear of the floor on their way; and hands.
 
 Rebuilding a pose with exact bone lengths starts at the pelvis, so small errors of the legs end up in the feet. Here the
 ankles are put back to where the network wanted them, without the creeping of a heel in contact, by two-bone IK; and the
@@ -33,6 +33,9 @@ RELEASE = 0.6
 """Share of that distance left one frame after the foot has let go."""
 TOES_FRAMES, TOES_TIMES = 2.0, 3
 """Toes are put where they should be for about so many frames; as the foot turns with the leg, in so many steps."""
+CLEAR_M, SWING_MPS = 0.025, (0.5, 1.0)
+"""A foot that swings is so high above the floor, less so between these speeds: what the network makes of a swing is
+the mean of many, and drags. (People's toes clear the ground by 1.3 cm: Winter 1992.)"""
 SLACK = 0.99
 """Share left a frame while the foot is held, so that a long stand does not end in a leap."""
 
@@ -50,6 +53,17 @@ def held_offsets(feet_xy_m: Array, contact: npt.NDArray[np.bool_]) -> Array:
         else:
             offset[t] = RELEASE * offset[t - 1]
     return offset
+
+
+def swinging(foot_xy_m: Array, stands: npt.NDArray[np.bool_], fps: float) -> Array:
+    """(T,) from 0 to 1: how surely a foot is on its way; 0 while it stands (T,).
+
+    Args:
+        foot_xy_m: (T, P, 2) its points, of which the fastest counts.
+    """
+    mps = np.linalg.norm(np.gradient(foot_xy_m, axis=0), axis=-1).max(-1) * fps
+    slow, fast = SWING_MPS
+    return np.asarray(np.where(stands, 0.0, np.clip((mps - slow) / (fast - slow), 0.0, 1.0)))
 
 
 def walks(positions_w_m: Array, fps: float) -> bool:
@@ -98,8 +112,9 @@ def with_planted_feet(
             for _ in range(TOES_TIMES):
                 body = solve_leg(body, side, body[:, ankle] + near * (wanted_w_m[:, toe] - body[:, toe]))
         sole = np.minimum(*(body[:, j, 2] - CANONICAL.rest_positions_m[j, 2] for j in (ankle, toe)))
+        least = CLEAR_M * swinging(body[:, [ankle, toe], :2], heel_stands | toes_stand, fps)
         lifted = body[:, ankle].copy()
-        lifted[:, 2] += np.maximum(-sole, 0.0)
+        lifted[:, 2] += np.maximum(least - sole, 0.0)
         body = solve_leg(body, side, lifted)
         if side in hands:
             body = solve_arm(body, side, wanted_w_m[:, CANONICAL.index(f"{side}_wrist")])

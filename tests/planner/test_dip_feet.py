@@ -1,10 +1,10 @@
-"""Planted feet: a creeping foot is held, a lifted one is let go, nothing goes below the floor, bones stay exact."""
+"""Planted feet: a creeping foot is held, a lifted one is let go and clears the floor, bones stay exact."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from planner_service.dip.feet import MOST_HELD_M, held_offsets, walks, with_planted_feet
+from planner_service.dip.feet import CLEAR_M, MOST_HELD_M, held_offsets, walks, with_planted_feet
 from planner_service.training.evaluate_quality import contact_slide_mm
 from shared.motion.ik import standing_clip
 from shared.motion.metrics import penetration_mm
@@ -84,3 +84,23 @@ def test_who_stands_or_runs_does_not_walk() -> None:
     for mps, walking in ((0.0, False), (0.2, False), (0.6, True), (1.5, True), (2.5, False)):
         gone = STANDING + np.linspace(0.0, 2.0 * mps, 41)[:, None, None] * [1.0, 0.0, 0.0]
         assert walks(gone, 20.0) is walking, mps
+
+
+def test_a_foot_that_swings_is_clear_of_the_floor_and_one_that_stands_or_rests_is_not() -> None:
+    ankles, feet = CANONICAL.indices("left_ankle", "right_ankle"), CANONICAL.indices("left_foot", "right_foot")
+    dragging = STANDING.copy()
+    dragging[..., 2] -= 0.05
+    dragging[:, [*ankles, *feet], 2] = STANDING[:, [*ankles, *feet], 2]
+    dragging[..., 0] += np.linspace(0.0, 2.4, 41)[:, None]
+    stands = np.zeros((41, 4))
+    stands[:, 2:] = 1.0  # the right foot is said to stand
+
+    def least_m(wanted: np.ndarray, contacts: np.ndarray) -> list[float]:
+        moved = with_planted_feet(wanted, contacts, 20.0).positions_w_m
+        return [float((moved[5:-5, j, 2] - STANDING[0, j, 2]).min()) for j in (*ankles, *feet)]
+
+    left, right, left_toes, right_toes = least_m(dragging, stands)
+    assert min(left, left_toes) > 0.8 * CLEAR_M
+    assert max(right, right_toes) < 0.2 * CLEAR_M
+    dragging[..., 0] *= 0.2  # 0.24 m/s
+    assert max(least_m(dragging, np.zeros((41, 4)))) < 0.2 * CLEAR_M
