@@ -20,6 +20,7 @@ from shared.motion.limbs import solve_arm, solve_leg
 from shared.motion.skeleton import CANONICAL
 
 Array = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
 
 CONTACT = 0.5
 """A predicted contact above this holds the foot."""
@@ -34,13 +35,13 @@ RELEASE = 0.6
 TOES_FRAMES, TOES_TIMES = 2.0, 3
 """Toes are put where they should be for about so many frames; as the foot turns with the leg, in so many steps."""
 CLEAR_M, SWING_MPS = 0.025, (0.5, 1.0)
-"""A foot that swings is so high above the floor, less so between these speeds: what the network makes of a swing is
-the mean of many, and drags. (People's toes clear the ground by 1.3 cm: Winter 1992.)"""
+"""A foot that swings while the other stands is so high above the floor, less so between these speeds: what the network
+makes of a swing is the mean of many, and drags. (People's toes clear the ground by 1.3 cm: Winter 1992.)"""
 SLACK = 0.99
 """Share left a frame while the foot is held, so that a long stand does not end in a leap."""
 
 
-def held_offsets(feet_xy_m: Array, contact: npt.NDArray[np.bool_]) -> Array:
+def held_offsets(feet_xy_m: Array, contact: Bools) -> Array:
     """(T, 2) what to add to a foot's path (T, 2) so that it stays put while in contact (T,).
 
     Row 0 is the last frame of the prefix and is never moved.
@@ -55,20 +56,16 @@ def held_offsets(feet_xy_m: Array, contact: npt.NDArray[np.bool_]) -> Array:
     return offset
 
 
-def swinging(foot_xy_m: Array, stands: npt.NDArray[np.bool_], fps: float) -> Array:
-    """(T,) from 0 to 1: how surely a foot is on its way; 0 while it stands (T,).
-
-    Args:
-        foot_xy_m: (T, P, 2) its points, of which the fastest counts.
-    """
+def swiftness(foot_xy_m: Array, fps: float) -> Array:
+    """(T,) from 0 to 1: how surely a foot, of whose points (T, P, 2) the fastest counts, is on its way."""
     mps = np.linalg.norm(np.gradient(foot_xy_m, axis=0), axis=-1).max(-1) * fps
     slow, fast = SWING_MPS
-    return np.asarray(np.where(stands, 0.0, np.clip((mps - slow) / (fast - slow), 0.0, 1.0)))
+    return np.clip((mps - slow) / (fast - slow), 0.0, 1.0)
 
 
 def walks(positions_w_m: Array, fps: float) -> bool:
-    """Whether the body (T, 22, 3) walks. Toes that push off for a run, or bear a kick, are not to be kept: bodies fell
-    over them."""
+    """Whether the body (T, 22, 3) walks. Who runs or kicks is left alone: bodies fell where toes were kept or feet were
+    lifted then, and as they jumped."""
     mps = np.linalg.norm(np.diff(positions_w_m[:, 0, :2], axis=0), axis=-1) * fps
     return bool(mps.mean() >= WALKS_MPS and mps.max() <= RUNS_MPS)
 
@@ -79,7 +76,7 @@ def with_planted_feet(
     fps: float,
     hands: Collection[str] = (),
     toes: Mapping[str, Sequence[int]] = MappingProxyType({}),
-    toes_stay: bool = False,
+    walking: bool = False,
 ) -> MotionClip:
     """The clip of a plan.
 
@@ -89,19 +86,21 @@ def with_planted_feet(
         fps: rate of the frames.
         hands: sides whose wrist is put where it is wanted.
         toes: planned frames about which the toes of a side are put where they are wanted.
-        toes_stay: toes are kept where they stand; else the ankle is, by the contact of heel or toes.
+        walking: toes are kept where they stand and a foot that swings clears the floor; else the ankle is kept, by the
+            contact of heel or toes.
 
     Returns:
         the T - 1 planned frames, bone lengths exact.
     """
     body = clip_from_positions(wanted_w_m, fps, rebuild=True).positions_w_m.copy()
+    stands: Bools = np.asarray((contacts > CONTACT).reshape(-1, 2, 2).any(-1))
     for number, side in enumerate(("left", "right")):
         ankle, toe = CANONICAL.index(f"{side}_ankle"), CANONICAL.index(f"{side}_foot")
         heel_stands, toes_stand = (contacts[:, 2 * number : 2 * number + 2] > CONTACT).T
         target = wanted_w_m[:, ankle].copy()
-        target[:, :2] += held_offsets(target[:, :2], heel_stands if toes_stay else heel_stands | toes_stand)
+        target[:, :2] += held_offsets(target[:, :2], heel_stands if walking else heel_stands | toes_stand)
         body = solve_leg(body, side, target)
-        if toes_stay:
+        if walking:
             slow = np.linalg.norm(np.gradient(body[:, toe, :2], axis=0), axis=-1) * fps < TOES_SLOW_MPS
             target = body[:, ankle].copy()
             target[:, :2] += held_offsets(body[:, toe, :2], toes_stand & slow)
@@ -112,7 +111,8 @@ def with_planted_feet(
             for _ in range(TOES_TIMES):
                 body = solve_leg(body, side, body[:, ankle] + near * (wanted_w_m[:, toe] - body[:, toe]))
         sole = np.minimum(*(body[:, j, 2] - CANONICAL.rest_positions_m[j, 2] for j in (ankle, toe)))
-        least = CLEAR_M * swinging(body[:, [ankle, toe], :2], heel_stands | toes_stand, fps)
+        swings = walking & stands[:, 1 - number] & ~stands[:, number]
+        least = CLEAR_M * np.where(swings, swiftness(body[:, [ankle, toe], :2], fps), 0.0)
         lifted = body[:, ankle].copy()
         lifted[:, 2] += np.maximum(least - sole, 0.0)
         body = solve_leg(body, side, lifted)

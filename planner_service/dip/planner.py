@@ -357,7 +357,7 @@ class DipPlanner:
         positions = features_to_global(features, PLANNER_FPS, batch.states[row])
         clip = with_planted_feet(
             positions, features[:, CONTACTS], PLANNER_FPS, hands_of(wishes.aims, row), toes_of(wishes.aims, row),
-            toes_stay=not request.targets and walks(positions, PLANNER_FPS),
+            walking=not request.targets and walks(positions, PLANNER_FPS),
         )  # fmt: skip
         return Plan(
             planner="dip",

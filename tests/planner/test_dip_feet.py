@@ -72,9 +72,9 @@ def test_toes_stay_where_they_stand_while_the_heel_rises() -> None:
     hip_low[:, ankle] += rise * [1.0, 0.0, 1.0]
     hip_low[:, toe] += rise * [1.0, 0.0, 0.0]  # creeps on
     contacts = np.zeros((41, 4))
-    free = with_planted_feet(hip_low, contacts, 20.0, toes_stay=True).positions_w_m
+    free = with_planted_feet(hip_low, contacts, 20.0, walking=True).positions_w_m
     contacts[:, 1] = 1.0  # the left toes
-    kept = with_planted_feet(hip_low, contacts, 20.0, toes_stay=True).positions_w_m
+    kept = with_planted_feet(hip_low, contacts, 20.0, walking=True).positions_w_m
     assert np.ptp(free[:, toe, 0]) > 0.015
     assert np.ptp(kept[:, toe, 0]) < 0.005
     assert kept[-1, ankle, 2] > STANDING[0, ankle, 2] + 0.025  # the heel is up all the same
@@ -86,19 +86,25 @@ def test_who_stands_or_runs_does_not_walk() -> None:
         assert walks(gone, 20.0) is walking, mps
 
 
-def test_a_foot_that_swings_is_clear_of_the_floor_and_one_that_stands_or_rests_is_not() -> None:
+def test_who_walks_swings_a_foot_clear_of_the_floor_while_the_other_stands() -> None:
     ankles, feet = CANONICAL.indices("left_ankle", "right_ankle"), CANONICAL.indices("left_foot", "right_foot")
 
-    def least_m(way_m: float, stands: Array) -> list[float]:
+    def least_m(way_m: float, stands: Array, walking: bool = True) -> list[float]:
         """Heights of both ankles and toes above where they rest, of who is dragged over the floor for two seconds."""
         wanted = STANDING.copy()
         wanted[..., 2] -= 0.05
         wanted[:, [*ankles, *feet], 2] = STANDING[:, [*ankles, *feet], 2]
         wanted[..., 0] += np.linspace(0.0, way_m, 41)[:, None]
-        moved = with_planted_feet(wanted, stands, 20.0).positions_w_m
+        moved = with_planted_feet(wanted, stands, 20.0, walking=walking).positions_w_m
         return [float((moved[5:-5, j, 2] - STANDING[0, j, 2]).min()) for j in (*ankles, *feet)]
 
-    left, right, left_toes, right_toes = least_m(2.4, np.array([[0.0, 0.0, 1.0, 1.0]] * 41))
+    right_stands = np.array([[0.0, 0.0, 1.0, 1.0]] * 41)
+    left, right, left_toes, right_toes = least_m(2.4, right_stands)
     assert min(left, left_toes) > 0.8 * CLEAR_M
     assert max(right, right_toes) < 0.2 * CLEAR_M
-    assert max(least_m(0.6, np.zeros((41, 4)))) < 0.2 * CLEAR_M
+    for way_m, stands, walking in (
+        (0.6, right_stands, True),
+        (2.4, np.zeros((41, 4)), True),
+        (2.4, right_stands, False),
+    ):
+        assert max(least_m(way_m, stands, walking)) < 0.2 * CLEAR_M
