@@ -124,9 +124,15 @@ class Arena:
     def finish(self) -> None:
         """Cancel what runs and wait for its end."""
         for episode_id in list(self.running):
-            self.wait(lambda path=f"/v1/episodes/{episode_id}": self.ask("DELETE", path) is not None, "it is cancelled")
+            self.wait(lambda known=episode_id: self._cancelled(known), "it is cancelled")
         self.wait(lambda: not self.look() and not self.running, "all have ended")
         self.check()
+
+    def _cancelled(self, episode_id: str) -> bool:
+        answer = self.ask("DELETE", f"/v1/episodes/{episode_id}")
+        if answer is not None and answer.json().get("status") == "deleted":  # it had come to its end by itself
+            del self.running[episode_id]
+        return answer is not None
 
     def check(self) -> None:
         """See whether the recordings of those that ended since are whole. Apart from the look at who goes on, which
