@@ -11,7 +11,7 @@ from orchestrator.core.episode import EpisodeRunner
 from orchestrator.core.keepsake import EpisodeState, Keepsake
 from orchestrator.store.recordings import Recording, RecordingFiles, joined
 from orchestrator.store.resume import to_bytes
-from shared.errors import MotionLoopError, OverloadedError
+from shared.errors import MotionLoopError, OverloadedError, TransportError
 from shared.protocol.messages import TICK_HZ
 
 ASK_TICKS = 600
@@ -20,6 +20,8 @@ CATCH_UP_TICKS = 3 * ASK_TICKS
 """A loop that runs is not held up for more of them."""
 WRITE_S = 0.5
 """A part is written so often, by the wall clock, where something new is kept; a kill costs no older ticks."""
+MOST_UNHEARD = 6
+"""So often a tracker that is not heard is asked again, once the episode is over, before what it has is given up."""
 MEGABYTE = 2**20
 
 
@@ -81,6 +83,7 @@ class Tape:
         self._written_s = float("-inf")  # what is kept first is written at once
         self._refused = False
         self._behind = False
+        self._unheard = 0
         runner.session.on_keep = self.keep
         runner.session.on_rewind.append(self._put_back)
 
@@ -116,7 +119,8 @@ class Tape:
             await self._writing
 
     async def finish(self, stop_tick: int) -> bool:
-        """Take and write what is left, and make the episode's one file of it; False where the disk refuses.
+        """Take and write what is left, and make the episode's one file of it; False where the disk refuses or the
+        tracker is not heard.
 
         Until `drop` another process could still take the episode up.
         """
@@ -131,6 +135,10 @@ class Tape:
                 if self._backlog.full:
                     return False
             except MotionLoopError as error:
+                if isinstance(error, TransportError) and self._unheard < MOST_UNHEARD:
+                    self._unheard += 1  # it may have them all the same, and only be slow
+                    await self._write()
+                    return False
                 self._runner.events.emit("recording_failed", self._runner.tick, reason=error.message)
                 self._recorded_to = stop_tick  # said once: the tracker will not have them later
         await self._write()

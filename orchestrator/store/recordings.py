@@ -168,10 +168,12 @@ class RecordingFiles:
         return path.read_bytes() if path.exists() else None
 
     def recorded(self, episode_id: str, last_tick: int) -> Recording:
-        """The parts of an unfinished episode up to a tick at which one of them ends; those after it are dropped.
+        """The parts of an unfinished episode up to a tick at which one of them ends; those after it are dropped, and so
+        is the one file of who was killed before the end was noted: it goes on.
 
         Raises NotFoundError where ticks are missing.
         """
+        self.path(episode_id).unlink(missing_ok=True)
         self.drop_after(episode_id, last_tick)
         parts = self._read_parts(episode_id)
         found = joined(parts) if parts else None

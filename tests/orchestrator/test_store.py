@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from orchestrator.core.episode_spec import EpisodeSpec
+from orchestrator.core.tape import MEGABYTE, MOST_UNHEARD, Backlog, Tape
 from orchestrator.export.formats import to_bvh, to_csv
 from orchestrator.store.recordings import Recording, RecordingFiles, from_npz, to_npz
-from shared.errors import NotFoundError
+from shared.errors import DeadlineError, NotFoundError
 from shared.motion.ik import standing_clip
 from shared.motion.io.bvh import read_bvh
 from shared.protocol.messages import TickRange
@@ -66,6 +70,18 @@ def test_a_kill_while_parts_are_gathered_costs_nothing(tmp_path: Path) -> None:
     assert len(files.load("e")) == 1500
 
 
+def test_who_was_killed_before_its_end_was_noted_has_no_recording_until_it_ends_again(tmp_path: Path) -> None:
+    files = RecordingFiles(tmp_path)
+    files.add_part("e", Recording.of(ticks(0, 90)))
+    files.add_resume("e", b"state", 89)
+    files.add_part("e", Recording.of(ticks(90, 34)))
+    files.finish("e", drop=False)
+    assert len(files.load("e")) == 124
+    assert len(files.recorded("e", 89)) == 90
+    with pytest.raises(NotFoundError):
+        files.load("e")
+
+
 def test_what_is_newer_than_the_state_to_go_on_from_is_dropped(tmp_path: Path) -> None:
     files = RecordingFiles(tmp_path)
     files.add_part("e", Recording.of(ticks(0, 40)))
@@ -109,3 +125,34 @@ def test_exports_hold_the_motion(tmp_path: Path) -> None:
     raw = read_bvh(bvh)
     assert raw.fps == pytest.approx(30, abs=1e-3)
     assert len(raw.positions_w_m) == 12
+
+
+@pytest.mark.parametrize(("times", "whole"), [(2, True), (MOST_UNHEARD + 1, False)])
+def test_ticks_of_a_tracker_that_is_not_heard_at_the_end_are_asked_for_again(
+    tmp_path: Path, times: int, whole: bool
+) -> None:
+    told, unheard = list[str](), [DeadlineError("no reply") for _ in range(times)]
+
+    async def answer(start: int, stop: int, rate_hz: int, reference: bool) -> TickRange:
+        if unheard:
+            raise unheard.pop()
+        return ticks(start, stop - start)
+
+    runner: Any = SimpleNamespace(
+        session=SimpleNamespace(created=True, on_rewind=[], scene=None, loop=SimpleNamespace(ticks=answer)),
+        spec=SimpleNamespace(character="human"), episode_id="e", tick=89,
+        events=SimpleNamespace(emit=lambda type_, tick, **more: told.append(type_)),
+    )  # fmt: skip
+    files = RecordingFiles(tmp_path)
+
+    async def finished() -> int:
+        tape, tries = Tape(runner, files, Backlog(MEGABYTE)), 1
+        while not await tape.finish(90):
+            tries += 1
+        return tries
+
+    assert asyncio.run(finished()) == min(times, MOST_UNHEARD) + 1
+    if whole:
+        assert len(files.load("e")) == 90 and not told
+    else:
+        assert told == ["recording_failed"]
