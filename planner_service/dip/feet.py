@@ -93,12 +93,13 @@ def with_planted_feet(
         the T - 1 planned frames, bone lengths exact.
     """
     body = clip_from_positions(wanted_w_m, fps, rebuild=True).positions_w_m.copy()
-    stands: Bools = np.asarray((contacts > CONTACT).reshape(-1, 2, 2).any(-1))
+    points_stand: Bools = np.asarray((contacts > CONTACT).reshape(-1, 2, 2))
+    stands: Bools = np.asarray(points_stand.any(-1))
     for number, side in enumerate(("left", "right")):
         ankle, toe = CANONICAL.index(f"{side}_ankle"), CANONICAL.index(f"{side}_foot")
-        heel_stands, toes_stand = (contacts[:, 2 * number : 2 * number + 2] > CONTACT).T
+        heel_stands, toes_stand = points_stand[:, number].T
         target = wanted_w_m[:, ankle].copy()
-        target[:, :2] += held_offsets(target[:, :2], heel_stands if walking else heel_stands | toes_stand)
+        target[:, :2] += held_offsets(target[:, :2], heel_stands if walking else stands[:, number])
         body = solve_leg(body, side, target)
         if walking:
             slow = np.linalg.norm(np.gradient(body[:, toe, :2], axis=0), axis=-1) * fps < TOES_SLOW_MPS
