@@ -43,12 +43,19 @@ def eased(guidance: float, speed_mps: float) -> float:
 
 STOPS_FIRST = ("step_back", "walk_back", "step_side")
 """Meanings that a body which goes ahead is not planned for before it stands: of a run most plans run on for seconds."""
+JUMPS, JUMPS_MPS = ("jump", "hop", "jump_turn", "jump_reach", "jumping_jack"), 1.0
+"""The same for jumps on the spot, of whoever goes faster: of 71 runners and walkers told to jump, 11 fell."""
 WALKS, RUNNING_MPS, WALKING_MPS = ("walk",), 1.9, 1.3
 """Who is told to walk while running is told how fast, too: a run is as good a walk to a network that is shown one."""
 
 
-def slowing(request: PlanRequest, meaning: str | None) -> PlanRequest:
-    """The request, as one for standing first or for a slower way where what a text means is not done so fast."""
+RUNS, STARTS_MPS, WALK_TEXT = ("run", "run_start"), 0.5, "a person walks forward"
+"""Who stands and is told to run walks first: of 120 who leant into a run at once 5 fell, of 120 who did not none."""
+
+
+def led_up_to(request: PlanRequest, meaning: str | None) -> PlanRequest:
+    """The request, as one for what comes before: a stand or a slower way where what a text means is not done so fast,
+    a walk where a run begins."""
     if not words_alone(request) or request.guidance is not None or meaning is None:
         return request
     action, speed, pelvis = meaning.partition(":")[0], speed_mps(request), request.prefix_positions_w_m[:, 0, :2]
@@ -56,6 +63,10 @@ def slowing(request: PlanRequest, meaning: str | None) -> PlanRequest:
     if action in WALKS and speed > RUNNING_MPS:
         x, y = (float(part) for part in way * WALKING_MPS / np.linalg.norm(way))
         return request.model_copy(update={"desired_velocity_w_mps": (x, y)})
+    if action in RUNS and speed < STARTS_MPS:
+        return request.model_copy(update={"text": WALK_TEXT})
+    if action in JUMPS and speed > JUMPS_MPS:
+        return request.model_copy(update={"text": STAND_TEXT})
     if (action in STOPS_FIRST or asks_floor_seat(request.text)) and speed > STANDS_MPS:
         heading = float(hips_heading(request.prefix_positions_w_m[-1]))
         if way[0] * np.cos(heading) + way[1] * np.sin(heading) > 0:

@@ -22,7 +22,7 @@ from planner_service.dip.batch import Batch
 from planner_service.dip.conditions import JOINT_SLOTS
 from planner_service.dip.deeds import Deed, deed_of, ranked, tries_of
 from planner_service.dip.diffusion import Denoiser, cosine_schedule, respaced, sample, sample_some, spread_steps
-from planner_service.dip.effort import EASIER_GUIDANCE, STANDS_MPS, eased, slowing, speed_mps, too_hard
+from planner_service.dip.effort import EASIER_GUIDANCE, STANDS_MPS, eased, led_up_to, speed_mps, too_hard
 from planner_service.dip.feet import walks, with_planted_feet
 from planner_service.dip.floor import held_seated, is_floor_seat, way_down
 from planner_service.dip.folded import Conditions, Denoising, FoldedDip
@@ -178,7 +178,7 @@ class DipPlanner:
             None if speed_mps(r) > STANDS_MPS else deed_of(meaning, r)
             for r, meaning in zip(requests, meant, strict=True)
         ]
-        requests = [slowing(request, meaning) for request, meaning in zip(requests, meant, strict=True)]
+        requests = [led_up_to(request, meaning) for request, meaning in zip(requests, meant, strict=True)]
         floor = [is_floor_seat(request) for request in requests]
         requests = [way_down(r) if low else r for r, low in zip(requests, floor, strict=True)]
         plain = iter(self._plans([r for r, found in zip(requests, deeds, strict=True) if found is None]))

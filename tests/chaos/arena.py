@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -37,6 +38,13 @@ class Ended:
     reason: str | None
     trouble: str | None = None
     """What is wrong with its recording or its end; None where all is well."""
+    events: list[dict[str, Any]] = field(default_factory=list)
+    """What happened in it, where something is wrong."""
+
+
+def wrong(ended: list[Ended]) -> list[dict[str, Any]]:
+    """Those with something wrong: what, and their events."""
+    return [{"id": end.id, "trouble": end.trouble, "events": end.events} for end in ended if end.trouble]
 
 
 @dataclass
@@ -139,7 +147,15 @@ class Arena:
         must not wait for the making of files."""
         for end, told in self._unchecked:
             end.trouble = self._trouble(end, told)
+            if end.trouble is not None:
+                end.events = self._events(end.id)
         self._unchecked = []
+
+    def _events(self, episode_id: str) -> list[dict[str, Any]]:
+        answer = self.ask("GET", f"/v1/episodes/{episode_id}/events")
+        if answer is None or answer.status_code != 200:
+            return []
+        return [json.loads(line[6:]) for line in answer.text.splitlines() if line.startswith("data: ")]
 
     def _over(self, episode_id: str, told: dict[str, Any]) -> None:
         spec = self.running.pop(episode_id)

@@ -17,7 +17,7 @@ import httpx
 import numpy as np
 
 from orchestrator.core.supervise import Stack
-from tests.chaos.arena import Arena
+from tests.chaos.arena import Arena, wrong
 from tests.orchestrator.support import kept_up, light
 
 LONG = [{"type": "halt", "duration_s": 20}] * 30
@@ -81,7 +81,7 @@ def kills(count: int, seed: int, data_dir: Path, most_s: float, say: Any = print
         },
         "lost": [end.id for end in arena.ended if end.status == "lost"],
         "not_finished": not_finished,
-        "wrong_recordings": [f"{end.id}: {end.trouble}" for end in arena.ended if end.trouble],
+        "wrong_recordings": wrong(arena.ended),
     }
 
 

@@ -20,7 +20,7 @@ from typing import Any
 import httpx
 import numpy as np
 
-from tests.chaos.arena import Arena, StuckError
+from tests.chaos.arena import Arena, StuckError, wrong
 from tests.chaos.faults import FAULTS, PLANNER_ONLY, Fault, Scene, shuffled
 from tests.chaos.processor import most_waited_s, waits
 from tests.chaos.stack import ChaoticStack
@@ -159,7 +159,7 @@ def report(made: list[dict[str, Any]], arena: Arena, seed: int, took_s: float) -
         "stuck": [entry for entry in made if "trouble" in entry],
         "stood_still": [entry for entry in made if entry.get("stood_still")],
         "lost": [end.id for end in arena.ended if end.status == "lost"],
-        "wrong_recordings": [f"{end.id}: {end.trouble}" for end in arena.ended if end.trouble],
+        "wrong_recordings": wrong(arena.ended),
         "made": made,
         "machine": {"platform": platform.platform(), "python": platform.python_version()},
     }

@@ -1,11 +1,11 @@
-"""What is asked of a body that moves: first a stand, or a slower way."""
+"""What is asked of a body before what it was told: a stand, or a slower way."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from planner_service.dip.effort import WALKING_MPS, slowing
+from planner_service.dip.effort import WALK_TEXT, WALKING_MPS, led_up_to
 from shared.motion.ik import standing_clip
 from shared.protocol.messages import JointTarget, PlanRequest
 from shared.text.wording import STAND_TEXT
@@ -36,27 +36,37 @@ def request(speed_mps: float, **more: object) -> PlanRequest:
         ("step_side:left", 1.2, True),
         ("step_back", 0.3, False),
         ("walk_back", -1.0, False),
-        ("jump", 2.5, False),
+        ("jump", 2.5, True),
+        ("jump", 0.8, False),
+        ("jump_forward", 2.5, False),
         (None, 2.5, False),
     ],
 )
 def test_who_goes_ahead_stands_before_going_back(meaning: str | None, speed_mps: float, stops: bool) -> None:
     asked = request(speed_mps)
-    assert slowing(asked, meaning).text == (STAND_TEXT if stops else asked.text)
+    assert led_up_to(asked, meaning).text == (STAND_TEXT if stops else asked.text)
 
 
 def test_who_goes_stands_before_sitting_down_on_the_floor() -> None:
-    assert slowing(request(1.3, text="sit down on the floor"), "sit_down").text == STAND_TEXT
-    assert slowing(request(0.2, text="sit down on the floor"), "sit_down").text == "sit down on the floor"
-    assert slowing(request(1.3, text="sit down"), "sit_down").text == "sit down"
+    assert led_up_to(request(1.3, text="sit down on the floor"), "sit_down").text == STAND_TEXT
+    assert led_up_to(request(0.2, text="sit down on the floor"), "sit_down").text == "sit down on the floor"
+    assert led_up_to(request(1.3, text="sit down"), "sit_down").text == "sit down"
+
+
+@pytest.mark.parametrize(
+    ("meaning", "speed_mps", "walks"), [("run", 0.1, True), ("run", 0.9, False), ("walk", 0.1, False)]
+)
+def test_who_stands_walks_before_running(meaning: str, speed_mps: float, walks: bool) -> None:
+    asked = request(speed_mps)
+    assert led_up_to(asked, meaning).text == (WALK_TEXT if walks else asked.text)
 
 
 def test_who_runs_is_told_how_fast_one_walks() -> None:
-    told = slowing(request(3.0), "walk").desired_velocity_w_mps
+    told = led_up_to(request(3.0), "walk").desired_velocity_w_mps
     assert told is not None
     np.testing.assert_allclose(told, (WALKING_MPS, 0.0), atol=1e-6)
-    assert slowing(request(1.5), "walk").desired_velocity_w_mps is None
-    assert slowing(request(3.0), "run").desired_velocity_w_mps is None
+    assert led_up_to(request(1.5), "walk").desired_velocity_w_mps is None
+    assert led_up_to(request(3.0), "run").desired_velocity_w_mps is None
 
 
 def test_who_says_where_or_how_fast_is_left_alone() -> None:
@@ -64,4 +74,4 @@ def test_who_says_where_or_how_fast_is_left_alone() -> None:
     for more in ({"targets": [target]}, {"desired_velocity_w_mps": (2.0, 0.0)}, {"guidance": 2.0}):
         asked = request(3.0, **more)
         for meaning in ("walk", "step_back"):
-            assert slowing(asked, meaning) is asked
+            assert led_up_to(asked, meaning) is asked
