@@ -11,6 +11,7 @@ from shared.motion.metrics import (
     floating_mm,
     foot_contacts,
     jerk_mps3,
+    limb_speed_mps,
     penetration_mm,
     skating_mm_per_frame,
     sole_points,
@@ -33,6 +34,7 @@ def quality(clips: Sequence[Array]) -> dict[str, float]:
         "skating_mm": float(np.mean([skating_mm_per_frame(c) for c in clips])),
         "skating_contact_mm": float(np.mean([contact_slide_mm(c) for c in clips])),
         "jerk": float(np.mean([jerk_mps3(c, FPS) for c in clips])),
+        "limb_speed_mps": float(np.mean([limb_speed_mps(c, FPS) for c in clips])),
     }
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from shared.errors import InvalidInputError
 
 HEADLINE = ("r_precision", "fid", "multimodal_distance", "diversity", "penetration_mm", "floating_mm", "skating_mm",
-            "skating_contact_mm", "jerk")  # fmt: skip
+            "skating_contact_mm", "jerk", "limb_speed_mps")  # fmt: skip
 SINGLE = ("target_error_m", "heading_error_deg", "keyframe_error_m", "velocity_error_mps", "paraphrase_r_precision",
           "paraphrase_training_r_precision")  # fmt: skip
 STYLE = """
@@ -60,6 +60,8 @@ def _quality(result: Mapping[str, Any]) -> list[str]:
         "<h2>By meaning</h2>",
         _pairs({name: (row["r_precision_top3"], row["ground_truth"]) for name, row in meanings.items()},
                ("DiP", "ground truth"), "R-precision, top 3"),
+        _pairs({name: (row["limb_speed_mps"], row["ground_truth_limb_speed_mps"]) for name, row in meanings.items()},
+               ("DiP", "ground truth"), "speed of limbs (m/s)"),
         "<h2>Places</h2>",
         _bars(result["target_error_by_joint_m"], "median target error (m)"),
     ]  # fmt: skip

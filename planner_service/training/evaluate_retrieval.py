@@ -31,6 +31,7 @@ from planner_service.training.evaluator.weights import Evaluator
 from planner_service.training.rollout import Rollout
 from shared.data.texts import PARAPHRASES, sentences
 from shared.motion.features import features_to_global, global_to_features
+from shared.motion.metrics import limb_speed_mps
 from shared.plugins.interfaces import Planner
 from shared.protocol.rates import PLANNER_FPS as FPS
 from shared.tasks.interface import PlanGoal
@@ -144,17 +145,25 @@ def retrieval(heldout: Heldout, motion: Array, rows: Sequence[int] | None = None
     }
 
 
-def by_meaning(heldout: Heldout, motion: Array) -> dict[str, dict[str, object]]:
-    """R-precision (top 3) of every meaning beside that of the recordings, with how many pairs it has."""
+def by_meaning(heldout: Heldout, motion: Array, made: Sequence[Array]) -> dict[str, dict[str, object]]:
+    """R-precision (top 3) and speed of limbs of every meaning beside the recordings', with how many pairs it has.
+
+    Args:
+        motion: (N, E) embeddings of what was made of every pair. made: that, positions (P + T_i, 22, 3).
+    """
+    skip = heldout.prefix - 1
+    speeds = [[limb_speed_mps(clip[skip:], FPS) for clip in clips] for clips in (made, heldout.truth)]
     out: dict[str, dict[str, object]] = {}
     for number in np.unique(heldout.pairs.meaning):
         rows = np.flatnonzero(heldout.pairs.meaning == number)
-        made, true = (
+        found, true = (
             r_precision(these[rows], heldout.sentence[rows], heldout.sentence, heldout.pools[rows])[-1]
             for these in (motion, heldout.motion)
         )
+        ours, theirs = (float(np.mean([each[row] for row in rows])) for each in speeds)
         out[heldout.meanings.names[number]] = {
-            "n": len(rows), "r_precision_top3": round(float(made), 3), "ground_truth": round(float(true), 3)
+            "n": len(rows), "r_precision_top3": round(float(found), 3), "ground_truth": round(float(true), 3),
+            "limb_speed_mps": round(ours, 3), "ground_truth_limb_speed_mps": round(theirs, 3),
         }  # fmt: skip
     return out
 
@@ -189,7 +198,7 @@ def judged(
         "within_bounds": within_bounds(plain, true),
         "chance": {"r_precision": [round(k / width, 4) for k in range(1, TOP + 1)]},
         "ground_truth": {**retrieval(heldout, heldout.motion), "fid": _split_fid(heldout), **true},
-        "by_meaning": by_meaning(heldout, motion),
+        "by_meaning": by_meaning(heldout, motion, made),
     }, made
 
 

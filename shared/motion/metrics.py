@@ -1,4 +1,4 @@
-"""Physical plausibility of motion: contacts, penetration, floating, skating (after PhysDiff), jerk.
+"""Physical plausibility of motion: contacts, penetration, floating, skating (after PhysDiff), jerk; and its vigour.
 
 The sole is taken as two points below each foot: under the ankle and under the toe base, as deep as those joints stand
 above the floor in the rest pose.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from shared.motion.heading import hips_heading
 from shared.motion.resampling import finite_velocity
 from shared.motion.skeleton import CANONICAL, Skeleton
 
@@ -67,3 +68,13 @@ def jerk_mps3(positions_w_m: npt.ArrayLike, fps: float) -> float:
     p = np.asarray(positions_w_m, dtype=np.float64)
     third = np.diff(p, n=3, axis=0) * fps**3
     return float(np.linalg.norm(third, axis=-1).mean())
+
+
+def limb_speed_mps(positions_w_m: npt.ArrayLike, fps: float) -> float:
+    """Mean speed of the joints of a motion (T, 22, 3) as the body sees them: its way and turns do not count."""
+    p = np.asarray(positions_w_m, dtype=np.float64)
+    heading = hips_heading(p)[:, None]
+    c, s = np.cos(heading), np.sin(heading)
+    x, y = p[..., 0] - p[:, :1, 0], p[..., 1] - p[:, :1, 1]
+    seen = np.stack([c * x + s * y, c * y - s * x, p[..., 2]], axis=-1)
+    return float(np.linalg.norm(np.diff(seen, axis=0), axis=-1).mean()) * fps

@@ -79,3 +79,19 @@ def test_jerk_of_a_cubic() -> None:
         p = _standing(12)
         p[..., 0] += (np.arange(12) / fps)[:, None] ** 3
         assert metrics.jerk_mps3(p, fps) == pytest.approx(6.0, rel=1e-6)
+
+
+def test_limbs_are_slow_however_the_whole_body_goes() -> None:
+    p = _standing(21)
+    assert metrics.limb_speed_mps(p, FPS) == pytest.approx(0.0, abs=1e-9)
+    angle = np.linspace(0.0, 2.0, len(p))[:, None]
+    turned = p.copy()
+    turned[..., 0], turned[..., 1] = (
+        np.cos(angle) * p[..., 0] - np.sin(angle) * p[..., 1] + 3.0 * angle,
+        np.sin(angle) * p[..., 0] + np.cos(angle) * p[..., 1],
+    )
+    assert metrics.limb_speed_mps(turned, FPS) == pytest.approx(0.0, abs=1e-9)
+    waving = p.copy()
+    waving[:, CANONICAL.index("left_wrist"), 1] += 0.05 * np.arange(len(p))
+    assert metrics.limb_speed_mps(waving, FPS) == pytest.approx(1.0 / 22)
+    assert metrics.limb_speed_mps(p + [0.0, 0.0, 0.02] * np.arange(len(p))[:, None, None], FPS) == pytest.approx(0.4)
