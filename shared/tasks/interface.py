@@ -86,6 +86,8 @@ class PlanGoal:
         planner: plug-in to ask, where the service has it; None, or one that it lacks: the character's own.
         hold_ticks: the plan is performed at least so long before the next one, where the loop would plan oftener: a
             motion that must not be begun anew again and again.
+        replan_ticks: the next plan is asked for after so many ticks, where the loop would plan later but for those
+            settings that plan seldom on purpose: what happens in between changes what is to be done.
         candidates: so many plans are asked for, with seeds of their own, and the one of most `worth` is performed.
         worth: of (T, 22, 3) positions in the character's own world and their rate; the first plan where it is None.
     """
@@ -104,6 +106,7 @@ class PlanGoal:
     may_be_low: bool | None = None
     planner: str | None = None
     hold_ticks: int = 0
+    replan_ticks: int | None = None
     candidates: int = 1
     worth: Callable[[npt.NDArray[np.float64], float], float] | None = None
 

@@ -12,15 +12,15 @@ import pytest
 from orchestrator.client import Client
 from orchestrator.core.asking import keyframe_arrays
 from orchestrator.core.command import Avoid, Command, CommandGoal, Keyframe, Target
-from orchestrator.core.drivers import LockstepDriver
+from orchestrator.core.drivers import GoalSource, LockstepDriver
 from orchestrator.core.loop import CharacterLoop, plan_seed
 from orchestrator.core.services import Services, connect
-from orchestrator.core.settings import LOCKSTEP
+from orchestrator.core.settings import LOCKSTEP, VARIANTS, LoopSettings
 from orchestrator.core.supervise import Stack
 from shared.motion.ik import clip_from_positions, standing_clip
 from shared.motion.skeleton import CANONICAL
 from shared.plugins.interfaces import PlannerSpec
-from shared.protocol.messages import CreateCharacter, Plan, PlanRequest, StateFrame
+from shared.protocol.messages import CreateCharacter, JointTarget, Plan, PlanRequest, StateFrame
 from shared.tasks.approach import Approach
 from shared.tasks.builtin import ReachTask
 from shared.tasks.interface import BodyView, Obstacle, PlanGoal
@@ -97,13 +97,15 @@ async def ends_fallen(planner: str, tracker: str, text: str) -> bool:
         await services.close()
 
 
-async def plans_within(planner: str, tracker: str, text: str, ticks: int) -> int:
-    """How many plans are asked for under a text."""
+async def plans_within(
+    planner: str, tracker: str, source: GoalSource, ticks: int, settings: LoopSettings = LOCKSTEP
+) -> int:
+    """How many plans are asked for."""
     services = Services(await connect(planner, "planner"), await connect(tracker, "tracker"))
-    loop = CharacterLoop(str(uuid.uuid4()), services, LOCKSTEP, seed=1)
+    loop = CharacterLoop(str(uuid.uuid4()), services, settings, seed=1)
     try:
         start = await loop.ask_tracker(StateFrame, CreateCharacter())
-        driver, source = LockstepDriver(loop, start), CommandGoal(Command(text=text), 0)
+        driver = LockstepDriver(loop, start)
         tick = start.tick
         while tick < start.tick + ticks:
             tick = (await driver.cycle(source, start.tick + ticks - tick)).state.tick
@@ -237,7 +239,22 @@ def test_a_blow_is_not_begun_anew_before_it_has_landed(text: str, plans: int) ->
         TrackerService(TrackerServiceSettings(endpoint="tcp://127.0.0.1:0", trackers=("kinematic",))) as tracker,
         hosting(Wilful()) as planner,
     ):
-        assert asyncio.run(plans_within(planner.endpoint, tracker.endpoint, text, BLOW_TICKS - 3)) == plans
+        told = CommandGoal(Command(text=text), 0)
+        assert asyncio.run(plans_within(planner.endpoint, tracker.endpoint, told, BLOW_TICKS - 3)) == plans
+
+
+def test_a_goal_may_want_plans_sooner_but_not_of_loops_that_plan_seldom() -> None:
+    ahead = JointTarget(joint="traj", position_w_m=(1.0, 0.0, 0.0), arrival_tick=60)
+    usual, soon = PlanGoal(targets=(ahead,)), PlanGoal(targets=(ahead,), replan_ticks=6)
+    with (
+        TrackerService(TrackerServiceSettings(endpoint="tcp://127.0.0.1:0", trackers=("kinematic",))) as tracker,
+        hosting(Wilful()) as planner,
+    ):
+        made = [
+            asyncio.run(plans_within(planner.endpoint, tracker.endpoint, lambda view, tick: goal, 30, settings))  # noqa: B023 - used at once
+            for goal, settings in ((usual, LOCKSTEP), (soon, LOCKSTEP), (soon, VARIANTS["paper"]))
+        ]
+    assert made == [2, 5, 1]
 
 
 def test_what_the_planner_says_comes_back_with_the_plan(stack: Stack) -> None:

@@ -77,6 +77,7 @@ def test_what_was_hit_is_gone_through_until_it_goes_down(limb: str) -> None:
         assert hand.position_w_m == pytest.approx((3.05 + leant, 0.0, 1.3))
         assert root.arrival_tick == hand.arrival_tick == tick + round((0.7 + leant) / mps * 30)
         assert "walking forward" in str(goal.text)
+        assert goal.replan_ticks == 6, "looked at again before the bag is down"
     # Who has slipped to its side goes through where it is, not on past it; who has passed it keeps the way.
     root = task.goal(view("bag", 1.6, 0.3, tick=96), 96).targets[0]
     assert root.position_w_m == pytest.approx((2.0 + 0.6 * 0.8, -0.6 * 0.6, 0.0))
