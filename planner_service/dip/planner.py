@@ -291,7 +291,7 @@ class DipPlanner:
             return Manner(self._settings.target_guidance, coarse)
         usual, speed = Manner(self._settings.guidance, coarse), speed_mps(request)
         manner = usual if read is None or speed > STANDS_MPS else manner_of(read.meaning, usual)
-        return replace(manner, guidance=eased(manner.guidance, speed))
+        return replace(manner.after(request.prefix_positions_w_m), guidance=eased(manner.guidance, speed))
 
     def _check(self, request: PlanRequest) -> None:
         want, most = self._config.prefix_frames, self._config.plan_frames
@@ -331,6 +331,7 @@ class DipPlanner:
         coarse = torch.minimum(fine, torch.tensor([manner.coarse for manner in manners])[both][:, None, None])
         # Fewer steps than were trained swing as much in all.
         more = (1 + torch.tensor([manner.swing for manner in manners])) ** (self._config.steps / len(self._steps)) - 1
+        smooth = torch.tensor([float(manner.lively_mps is not None) for manner in manners])
         first_fine = self._config.steps - self._settings.coarse_steps
         given = Conditions(batch.prefix, wishes.targets, batch.text, mask, wishes.keyframes, wishes.velocity)
         state = self._dip.begin(given, both, self._steps)
@@ -340,8 +341,8 @@ class DipPlanner:
             guided, free = out[: len(mask)], out[len(mask) :]
             scale = fine if self._steps[position] < first_fine else coarse
             guided[both] = free + scale * (guided[both] - free)
-            if self._steps[position] < SWUNG_STEPS and bool(more.any()):
-                guided = swung(guided, more)
+            if self._steps[position] < SWUNG_STEPS and bool((more + smooth).any()):
+                guided = swung(guided, more, smooth)
             if not wishes.aims or self._steps[position] >= AIMED_STEPS:
                 return guided
             return self._normalizer.normalize(aimed(self._normalizer.denormalize(guided), wishes.aims))

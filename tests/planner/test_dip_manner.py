@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from planner_service.dip.deeds import DEEDS
 from planner_service.dip.effort import EASIER_GUIDANCE
-from planner_service.dip.manner import ARMS, FIRM, MANNERS, Manner, manner_of, swung
+from planner_service.dip.manner import ARMS, FIRM, LIVELY_MPS, LIVELY_SWING, MANNERS, Manner, manner_of, swung
 from planner_service.dip.planner import DipPlanner
 from planner_service.text.meaning import MeaningHead
 from planner_service.text.pretrained import minilm
@@ -35,6 +36,29 @@ def test_every_manner_is_of_something_that_the_head_tells_apart() -> None:
     assert set(MANNERS) <= {name.partition(":")[0] for name in head.names} <= set(SENTENCES)
     assert manner_of("step_side:left", USUAL) == FIRM
     assert manner_of("walk", USUAL) == manner_of(None, USUAL) == USUAL
+    assert set(LIVELY_MPS) <= {name.partition(":")[0] for name in head.names} - set(MANNERS) - set(DEEDS)
+
+
+def test_who_dances_too_slowly_swings_more() -> None:
+    manner = manner_of("dance", USUAL)
+    still = standing_clip(20, 20.0).positions_w_m
+    assert (manner.guidance, manner.after(still).swing) == (USUAL.guidance, LIVELY_SWING)
+    up = still + np.array([0.0, 0.0, 0.5 * LIVELY_MPS["dance"] / 20]) * np.arange(20)[:, None, None]
+    assert manner.after(up).swing == pytest.approx(LIVELY_SWING / 2)
+    assert manner.after(still + 4 * (up - still)).swing == 0.0
+    assert manner_of("wave", USUAL).after(still) == manner_of("wave", USUAL)
+
+
+def test_what_is_quicker_than_a_swing_is_left_out_of_lively_plans() -> None:
+    frame = torch.arange(40)
+    wrist = JOINT_POSITIONS.start + 3 * (ARMS[1] - 1)
+    plans = torch.zeros(2, 40, FEATURES)
+    plans[:, :, wrist] = 0.1 * torch.sin(2 * torch.pi * frame / 20) + 0.02 * (-1.0) ** frame
+    out = swung(plans, torch.zeros(2), torch.tensor([1.0, 0.0]))
+    torch.testing.assert_close(out[1], plans[1])
+    second = [torch.diff(plan[10:30, wrist], n=2).abs().max() for plan in (out[0], plans[0])]
+    assert second[0] < 0.15 * second[1]
+    assert out[0, 10:30, wrist].max() > 0.085
 
 
 def test_arms_swing_more_about_where_they_are_and_nothing_else_is_touched() -> None:
