@@ -36,7 +36,7 @@ class Nearest:
     """A training sentence and the cosine (at most 1) of its embedding with the text's.
 
     Attributes:
-        far: whether the text is about something else than all that was trained.
+        far: whether the text is about something else than all that was trained, or means what no trained sentence does.
         taken_as: the training sentence that is planned for in place of the text; None where that is the text itself.
         meaning: of the text, a name of the head's; None without a head or where the text is far.
     """
@@ -124,8 +124,12 @@ class KnownSentences:
             meaning = "stand"
         said = similarity >= SAME_ABOVE
         taken_as = None
-        if not said and meaning is not None and (same := self._of.get(meaning)) is not None:
-            taken_as = self.sentences[int(same[np.argmax(cosines[same])])]
+        if not said and meaning is not None:
+            same = self._of.get(meaning)
+            if same is None:  # told apart by its words, but no motion that was trained shows it
+                meaning = None
+            else:
+                taken_as = self.sentences[int(same[np.argmax(cosines[same])])]
         return Nearest(self.sentences[best], similarity, not said and meaning is None, taken_as, meaning)
 
 

@@ -61,6 +61,12 @@ def test_who_is_told_to_stop_is_not_sent_walking_first(known: KnownSentences, en
     assert found.meaning in ("walk_stop", "walk_start_stop") and found.taken_as and "walk" in found.taken_as
 
 
+def test_what_means_something_that_no_motion_shows_is_far(known: KnownSentences, encoder: TextEncoder) -> None:
+    assert known.head is not None and known.head.most_likely("do a lunge") == "lunge"
+    found = known.nearest("do a lunge", encoder)
+    assert (found.far, found.meaning, found.taken_as) == (True, None, None)
+
+
 def test_a_training_sentence_is_its_own_nearest_however_it_is_written(
     known: KnownSentences, encoder: TextEncoder
 ) -> None:
