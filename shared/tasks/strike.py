@@ -81,8 +81,8 @@ LEAST_TICKS = 12
 """A target is never asked for sooner (frame 8 of a plan)."""
 BLOW_HOLD_TICKS, PUSH_REPLAN_TICKS = 42, 6
 """A blow's plan is performed until it has landed, which is later than it was asked to: made anew on the way, it begins
-with the wind-up again. Who pushes must know soon that the bag goes: planned for every half second 13 of 100 fell with
-it, every fifth of one 6."""
+with the wind-up again. Who pushes must know soon that the bag goes: planned for every half second 30 of 200 fell,
+every fifth of one 18."""
 GOING_RAD = 0.30
 """Beyond this lean, well past its edge, the bag goes down by itself."""
 LEAN_TICKS = 2
