@@ -386,9 +386,7 @@ class CharacterLoop:
         """Ticks until the plan after one for this goal: the planner's own period, else the settings', and in any case
         before the plan is over. A multiple of `start_spacing`. With the plan, what its text was taken for counts."""
         spec = self.planner_spec(goal.planner)
-        wanted = self.settings.replan_ticks if goal.targets else self.settings.text_replan_ticks
-        if goal.replan_ticks is not None and self.settings.replan_ticks <= LoopSettings().replan_ticks:
-            wanted = min(wanted, goal.replan_ticks)
+        wanted = self.settings.period_ticks(bool(goal.targets), goal.replan_ticks)
         wanted = max(wanted, goal.hold_ticks, holds_ticks((plan and plan.understood) or goal.text, goal.targets))
         if spec.replan_frames is not None:
             wanted = spec.replan_frames * TICK_HZ // spec.fps

@@ -39,6 +39,13 @@ class LoopSettings(BaseModel):
     plan_timeout_s: Annotated[FiniteFloat, Field(gt=0, le=600)] = 30.0
     tracker_timeout_s: Annotated[FiniteFloat, Field(gt=0, le=600)] = 30.0
 
+    def period_ticks(self, aims: bool, sooner: int | None = None) -> int:
+        """Ticks from a plan to the next for a goal with a target, or without; `sooner` is the goal's own wish, which
+        settings that plan seldom on purpose do not grant."""
+        usual = self.replan_ticks if aims else self.text_replan_ticks
+        grants = self.replan_ticks <= type(self).model_fields["replan_ticks"].default
+        return min(usual, sooner) if grants and sooner is not None else usual
+
 
 LOCKSTEP = LoopSettings()
 REALTIME = LoopSettings(plan_lead_ticks=3, plan_timeout_s=3.0, tracker_timeout_s=15.0)
