@@ -6,6 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
+REPLAN_TICKS = 15
+"""The usual period of plans with a target."""
+
 
 class LoopSettings(BaseModel):
     """How plans are requested and joined.
@@ -28,7 +31,7 @@ class LoopSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     mode: Literal["closed_loop", "open_loop"] = "closed_loop"
-    replan_ticks: Annotated[int, Field(ge=3, le=300, multiple_of=3)] = 15
+    replan_ticks: Annotated[int, Field(ge=3, le=300, multiple_of=3)] = REPLAN_TICKS
     text_replan_ticks: Annotated[int, Field(ge=3, le=300, multiple_of=3)] = 30
     least_ticks: Annotated[int, Field(ge=3, le=60, multiple_of=3)] = 9
     plan_lead_ticks: Annotated[int, Field(ge=0, le=60)] = 0
@@ -43,8 +46,7 @@ class LoopSettings(BaseModel):
         """Ticks from a plan to the next for a goal with a target, or without; `sooner` is the goal's own wish, which
         settings that plan seldom on purpose do not grant."""
         usual = self.replan_ticks if aims else self.text_replan_ticks
-        grants = self.replan_ticks <= type(self).model_fields["replan_ticks"].default
-        return min(usual, sooner) if grants and sooner is not None else usual
+        return usual if sooner is None or self.replan_ticks > REPLAN_TICKS else min(usual, sooner)
 
 
 LOCKSTEP = LoopSettings()

@@ -85,7 +85,7 @@ def swung(plans: Tensor, share: Tensor, smooth: Tensor | None = None) -> Tensor:
     out = plans.clone()
     slow = _mean(arms, SPREAD_FRAMES)
     swings = arms
-    if smooth is not None:
+    if smooth is not None and bool(smooth.any()):
         swings = arms - smooth[:, None, None] * (arms - _mean(arms, QUICK_FRAMES))
     out[..., _COLUMNS] = (swings + share[:, None, None] * (swings - slow)).transpose(1, 2)
     return out

@@ -332,6 +332,7 @@ class DipPlanner:
         # Fewer steps than were trained swing as much in all.
         more = (1 + torch.tensor([manner.swing for manner in manners])) ** (self._config.steps / len(self._steps)) - 1
         smooth = torch.tensor([float(manner.lively_mps is not None) for manner in manners])
+        swings = bool((more + smooth).any())
         first_fine = self._config.steps - self._settings.coarse_steps
         given = Conditions(batch.prefix, wishes.targets, batch.text, mask, wishes.keyframes, wishes.velocity)
         state = self._dip.begin(given, both, self._steps)
@@ -341,7 +342,7 @@ class DipPlanner:
             guided, free = out[: len(mask)], out[len(mask) :]
             scale = fine if self._steps[position] < first_fine else coarse
             guided[both] = free + scale * (guided[both] - free)
-            if self._steps[position] < SWUNG_STEPS and bool((more + smooth).any()):
+            if swings and self._steps[position] < SWUNG_STEPS:
                 guided = swung(guided, more, smooth)
             if not wishes.aims or self._steps[position] >= AIMED_STEPS:
                 return guided
